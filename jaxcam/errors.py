@@ -1,0 +1,99 @@
+"""Errors a user can act on, and how a command line shows them.
+
+A message says what is wrong, where, what was expected and what was got, the likely cause, and the
+fix. Each kind of error has its own exit code, so that scripts can tell them apart.
+"""
+
+import difflib
+import sys
+from collections.abc import Callable, Iterable
+from typing import ClassVar
+
+
+class JaxcamError(Exception):
+    """Base of every error raised on purpose."""
+
+    exit_code: ClassVar[int] = 1
+
+
+class ConfigError(JaxcamError, ValueError):
+    """A setting is unknown, out of range, or at odds with another one."""
+
+    exit_code = 2
+
+
+class CameraError(JaxcamError, ValueError):
+    """A camera is impossible: its intrinsics, pose or image size."""
+
+    exit_code = 3
+
+
+class DatasetError(JaxcamError, ValueError):
+    """A dataset is missing, damaged, or not the one that was asked for."""
+
+    exit_code = 3
+
+
+class CheckpointError(JaxcamError):
+    """A checkpoint cannot be written, read, or trusted."""
+
+    exit_code = 4
+
+
+class SimError(JaxcamError):
+    """A simulator or renderer failed."""
+
+    exit_code = 5
+
+
+class DivergedError(JaxcamError):
+    """Training produced non-finite numbers for too long."""
+
+    exit_code = 6
+
+
+def closest(name: str, known: Iterable[str]) -> str:
+    """End of an "unknown name" message: the nearest known name, then all of them.
+
+    Args:
+        name: The name that was not found.
+        known: The names that exist.
+
+    Returns:
+        For example ", did you mean 'lift'? Known: lift, square".
+    """
+    names = list(known)
+    lower = {n.lower(): n for n in names}
+    near = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5)
+    hint = f", did you mean '{lower[near[0]]}'?" if near else "."
+    return f"{hint} Known: {', '.join(names)}"
+
+
+def run_main(main: Callable[[], object]) -> None:
+    """Run a command's main function and turn a `JaxcamError` into a message and an exit code.
+
+    Other exceptions are bugs and keep their traceback.
+
+    Args:
+        main: The command, called without arguments.
+
+    Raises:
+        SystemExit: With the error's exit code, or 130 after Ctrl-C.
+    """
+    try:
+        main()
+    except JaxcamError as error:
+        _print_boxed(type(error).__name__, str(error))
+        sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+def _print_boxed(title: str, message: str) -> None:
+    from rich.console import Console
+    from rich.panel import Panel
+    from rich.text import Text
+
+    # Text, not str: "[0]" in a message is an index, not rich markup.
+    panel = Panel(Text(message), title=title, title_align="left", border_style="red")
+    Console(stderr=True).print(panel)

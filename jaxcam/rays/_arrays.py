@@ -1,0 +1,34 @@
+"""NumPy in, NumPy out; JAX in, JAX out: helpers shared by the files of this package."""
+
+from types import ModuleType
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+Array = Any
+"""A NumPy or JAX array, or anything `numpy.asarray` takes."""
+
+
+def namespace(*arrays: Array) -> ModuleType:
+    """`jax.numpy` when any array is JAX's (tracers included), else `numpy`."""
+    return jnp if any(isinstance(a, jax.Array) for a in arrays) else np
+
+
+def as_float(a: Array, xp: ModuleType) -> Array:
+    """`a` as an array of `xp`; integers become floats, float64 stays float64 under NumPy."""
+    a = xp.asarray(a)
+    return a if xp.issubdtype(a.dtype, xp.floating) else a.astype(xp.float32)
+
+
+def matmul(a: Array, b: Array) -> Array:
+    """Matrix product; never in TF32 or bfloat16, which would bend rays by a pixel."""
+    if namespace(a, b) is np:
+        return np.matmul(a, b)
+    return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
+
+
+def is_concrete(a: Array) -> bool:
+    """Whether the values of `a` can be looked at now (false for a tracer inside `jit`)."""
+    return not isinstance(a, jax.core.Tracer)

@@ -1,0 +1,224 @@
+"""A camera as one record: intrinsics, pose and image size, changed together."""
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import jax
+import numpy as np
+
+from jaxcam.errors import CameraError
+from jaxcam.rays._arrays import Array, as_float, matmul, namespace
+from jaxcam.rays._checks import check_camera
+from jaxcam.rays._convert import opengl_from_opencv
+from jaxcam.rays._plucker import Convention, rays
+
+
+@partial(
+    jax.tree_util.register_dataclass,
+    data_fields=["K", "world_from_camera"],
+    meta_fields=["height", "width"],
+)
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera, or a batch of them that share an image size.
+
+    A pytree: `K` and `world_from_camera` are leaves, the size is static. Methods return new
+    cameras and keep NumPy under NumPy and JAX under JAX.
+
+    Attributes:
+        K: Intrinsics in pixels of the image, `[*batch, 3, 3]`; (0, 0) is the image's corner and
+            (column + 0.5, row + 0.5) a pixel's centre. `fx < 0` means a mirrored image.
+        world_from_camera: Pose `[*batch, 4, 4]`, OpenCV axes: x right, y down, z forward.
+        height: Image rows.
+        width: Image columns.
+    """
+
+    K: Array
+    world_from_camera: Array
+    height: int
+    width: int
+
+    @classmethod
+    def from_fovy(
+        cls, fovy: Array, height: int, width: int, world_from_camera: Array | None = None
+    ) -> "Camera":
+        """Camera with square pixels and a centred principal point.
+
+        Args:
+            fovy: Vertical field of view in radians (MuJoCo's `cam_fovy` is in degrees), `[*batch]`.
+            height: Image rows.
+            width: Image columns.
+            world_from_camera: Pose; the identity when left out.
+        """
+        xp = namespace(fovy)
+        fovy = as_float(fovy, xp)
+        f = 0.5 * height / xp.tan(0.5 * fovy)
+        zero, one = xp.zeros_like(f), xp.ones_like(f)
+        rows = (f, zero, 0.5 * width * one, zero, f, 0.5 * height * one, zero, zero, one)
+        K = xp.stack(rows, axis=-1).reshape(*f.shape, 3, 3)
+        if world_from_camera is None:
+            world_from_camera = xp.broadcast_to(xp.eye(4, dtype=K.dtype), (*f.shape, 4, 4))
+        return cls(K, world_from_camera, height, width)
+
+    @property
+    def batch(self) -> tuple[int, ...]:
+        """Shape of the leading axes."""
+        return np.broadcast_shapes(np.shape(self.K)[:-2], np.shape(self.world_from_camera)[:-2])
+
+    @property
+    def centre(self) -> Array:
+        """Position of the camera in the world, `[*batch, 3]`."""
+        return self.world_from_camera[..., :3, 3]
+
+    @property
+    def fovy(self) -> Array:
+        """Vertical field of view in radians, for a principal point in the middle row."""
+        xp = namespace(self.K)
+        return 2 * xp.arctan(0.5 * self.height / self.K[..., 1, 1])
+
+    def project(self, points: Array) -> tuple[Array, Array]:
+        """Pixels and depths of world points.
+
+        Args:
+            points: `[*batch, ..., 3]`: the camera's batch axes (or ones), then any others.
+
+        Returns:
+            Pixel coordinates (u, v) `[*batch, ..., 2]` and planar depth `[*batch, ...]`, which is
+            negative for points behind the camera; their (u, v) mean nothing.
+        """
+        xp = namespace(self.K, self.world_from_camera, points)
+        points = as_float(points, xp)
+        K, pose = self._spread(xp, points.ndim - 1)
+        p = matmul((points - pose[..., :3, 3])[..., None, :], pose[..., :3, :3])[..., 0, :]
+        depth = p[..., 2]
+        y = p[..., 1] / depth
+        x = p[..., 0] / depth
+        u = K[..., 0, 0] * x + K[..., 0, 1] * y + K[..., 0, 2]
+        v = K[..., 1, 1] * y + K[..., 1, 2]
+        return xp.stack(xp.broadcast_arrays(u, v), axis=-1), depth
+
+    def unproject(self, depth: Array, pixels: Array | None = None) -> Array:
+        """World points seen at given depths.
+
+        Args:
+            depth: Planar depth, the z coordinate in camera axes (as MuJoCo's renderer gives it, not
+                the length of the ray): `[*batch, height, width]`, or `[*batch, ...]` with `pixels`.
+            pixels: Pixel coordinates (u, v), `[*batch, ..., 2]`; every pixel's centre when left out.
+
+        Returns:
+            Points `[*batch, ..., 3]`.
+        """
+        xp = namespace(self.K, self.world_from_camera, depth, pixels)
+        depth = as_float(depth, xp)
+        if pixels is None:
+            if depth.shape[-2:] != (self.height, self.width):
+                raise CameraError(
+                    f"depth has shape {list(depth.shape)}, expected [..., {self.height}, "
+                    f"{self.width}]. Likely cause: K belongs to another resolution."
+                )
+            pixels = self.pixel_centres()
+        pixels = as_float(pixels, xp)
+        K, pose = self._spread(xp, max(depth.ndim, pixels.ndim - 1))
+        y = (pixels[..., 1] - K[..., 1, 2]) / K[..., 1, 1]
+        x = (pixels[..., 0] - K[..., 0, 2] - K[..., 0, 1] * y) / K[..., 0, 0]
+        p = xp.stack(xp.broadcast_arrays(x * depth, y * depth, depth), axis=-1)
+        return matmul(pose[..., :3, :3], p[..., None])[..., 0] + pose[..., :3, 3]
+
+    def pixel_centres(self) -> np.ndarray:
+        """Coordinates (u, v) of all pixels' centres, float32 `[height, width, 2]`."""
+        u, v = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
+        return np.stack([u, v], axis=-1).astype(np.float32)
+
+    def crop(self, top: Array, left: Array, height: int, width: int) -> "Camera":
+        """The camera of `image[top : top + height, left : left + width]`.
+
+        Args:
+            top: First row, a number or `[*batch]`; may be traced.
+            left: First column, likewise.
+            height: Rows of the crop.
+            width: Columns of the crop.
+        """
+        xp = namespace(self.K, top, left)
+        top, left = as_float(top, xp), as_float(left, xp)
+        zero = xp.zeros_like(top + left)
+        shift = xp.stack([left + zero, top + zero, zero], axis=-1)
+        K = as_float(self.K, xp)
+        K = K - (shift[..., :, None] * np.array([0, 0, 1.0], np.float32)).astype(K.dtype)
+        return replace(self, K=K, height=height, width=width)
+
+    def resize(self, height: int, width: int) -> "Camera":
+        """The camera of the image resized to `height` x `width`."""
+        scale = [width / self.width, height / self.height, 1.0]
+        return replace(self, K=self._scale_rows(scale), height=height, width=width)
+
+    def flip_horizontal(self) -> "Camera":
+        """The camera of the mirrored image `image[:, ::-1]`.
+
+        The pose stays a rotation and the flip goes into the intrinsics: `fx` changes its sign and
+        `cx` becomes `width - cx`. Each pixel keeps the ray it had, so the ray-map of the flipped
+        camera is the flipped ray-map. (A pose mirrored instead would describe another world.)
+        """
+        xp = namespace(self.K)
+        K = self._scale_rows([-1.0, 1.0, 1.0])
+        offset = np.array([[0, 0, self.width], [0, 0, 0], [0, 0, 0]])
+        return replace(self, K=K + xp.asarray(offset, K.dtype))
+
+    def in_frame(self, new_from_world: Array) -> "Camera":
+        """The same camera with its pose expressed in another frame.
+
+        Args:
+            new_from_world: Rigid transform `[*batch, 4, 4]`, for example `base_from_world`.
+        """
+        return replace(self, world_from_camera=matmul(new_from_world, self.world_from_camera))
+
+    def plucker(self, *, convention: Convention = "jaxcam") -> jax.Array:
+        """Ray-map, float32 `[*batch, height, width, 6]`; see `jaxcam.rays.plucker`.
+
+        The pose is in OpenCV axes also for `convention="authors"`. A principal point outside the
+        image is accepted here, since a crop of a corner has one.
+        """
+        self._check("camera", off_axis=True)
+        authors = convention == "authors"
+        pose = opengl_from_opencv(self.world_from_camera) if authors else self.world_from_camera
+        return rays(self.K, pose, int(self.height), int(self.width), convention)
+
+    def validate(self, name: str = "camera") -> "Camera":
+        """Check all parameters where they are concrete; call it where cameras are read.
+
+        Args:
+            name: What to call the camera in the message.
+
+        Returns:
+            The camera itself.
+
+        Raises:
+            CameraError: Naming the camera, the check, expected and got, and the likely cause.
+        """
+        self._check(name, off_axis=False)
+        return self
+
+    def _check(self, name: str, *, off_axis: bool) -> None:
+        check_camera(
+            self.K, self.world_from_camera, self.height, self.width, name=name, off_axis=off_axis
+        )
+
+    def _scale_rows(self, scale: list[float]) -> Array:
+        xp = namespace(self.K)
+        K = as_float(self.K, xp)
+        return K * xp.asarray(scale, K.dtype)[:, None]
+
+    def _spread(self, xp: np.ndarray, ndim: int) -> tuple[Array, Array]:
+        """K and pose with axes of one inserted after the batch axes, `ndim` leading axes in all."""
+        extra = ndim - len(self.batch)
+        if extra < 0:
+            raise CameraError(
+                f"expected an array that starts with the camera's batch axes {self.batch}, got "
+                f"one with {ndim} leading axes. Add axes of length 1 where the cameras share it."
+            )
+        K = as_float(self.K, xp)
+        pose = as_float(self.world_from_camera, xp)
+        ones = (1,) * extra
+        return (
+            K.reshape(*K.shape[:-2], *ones, 3, 3),
+            pose.reshape(*pose.shape[:-2], *ones, 4, 4),
+        )

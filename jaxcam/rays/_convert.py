@@ -1,0 +1,224 @@
+"""Camera poses to and from other people's conventions. The only place that knows them.
+
+`world_from_camera` is `[..., 4, 4]` in OpenCV axes (x right, y down, z forward) unless a name says
+otherwise. Functions keep NumPy (and its precision) under NumPy and JAX under JAX.
+"""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from jaxcam.errors import CameraError
+from jaxcam.rays._arrays import Array, as_float, matmul, namespace
+from jaxcam.rays._checks import check_pose
+
+# Columns: the axes of the foreign camera frame, in OpenCV axes.
+_GL = np.diag([1.0, -1.0, -1.0, 1.0])
+# SAPIEN: x forward, y left, z up.
+_SAPIEN = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
+
+
+def invert(transform: Array) -> Array:
+    """Inverse of a rigid transform, `[..., 4, 4]`: camera-to-world to world-to-camera and back."""
+    xp = namespace(transform)
+    transform = as_float(transform, xp)
+    rotation_t = xp.swapaxes(transform[..., :3, :3], -1, -2)
+    return _rigid(xp, rotation_t, -matmul(rotation_t, transform[..., :3, 3:])[..., 0])
+
+
+def opencv_from_opengl(world_from_camera: Array) -> Array:
+    """Pose in OpenCV axes of a camera given in OpenGL axes (y up, looking along -z)."""
+    return _change_axes(world_from_camera, _GL)
+
+
+def opengl_from_opencv(world_from_camera: Array) -> Array:
+    """Pose in OpenGL axes (y up, looking along -z) of a camera given in OpenCV axes."""
+    return _change_axes(world_from_camera, _GL)
+
+
+def opencv_from_sapien(world_from_camera: Array) -> Array:
+    """Pose in OpenCV axes of a SAPIEN camera pose (x forward, y left, z up), as in `CameraConfig`."""
+    return _change_axes(world_from_camera, _SAPIEN.T)
+
+
+def sapien_from_opencv(world_from_camera: Array) -> Array:
+    """Pose to place a SAPIEN or ManiSkill camera with (x forward, y left, z up)."""
+    return _change_axes(world_from_camera, _SAPIEN)
+
+
+def from_mujoco(cam_xpos: Array, cam_xmat: Array) -> Array:
+    """Pose from MuJoCo's `data.cam_xpos` and `data.cam_xmat`.
+
+    Args:
+        cam_xpos: `[..., 3]`.
+        cam_xmat: `[..., 9]` as in `mujoco.MjData`, or `[..., 3, 3]` as in MJX.
+    """
+    xp = namespace(cam_xpos, cam_xmat)
+    cam_xpos, cam_xmat = as_float(cam_xpos, xp), as_float(cam_xmat, xp)
+    if cam_xmat.shape[-2:] != (3, 3):
+        cam_xmat = cam_xmat.reshape(*cam_xmat.shape[:-1], 3, 3)
+    return opencv_from_opengl(_rigid(xp, cam_xmat, cam_xpos))
+
+
+def to_mujoco(world_from_camera: Array) -> tuple[Array, Array]:
+    """`cam_xpos` `[..., 3]` and `cam_xmat` `[..., 3, 3]` of a pose (flatten the latter for MjData)."""
+    pose = opengl_from_opencv(world_from_camera)
+    return pose[..., :3, 3], pose[..., :3, :3]
+
+
+def from_mujoco_quat(cam_pos: Array, cam_quat: Array) -> Array:
+    """Pose from a camera's MJCF `pos` and `quat` (w, x, y, z), or `model.cam_pos`, `cam_quat`.
+
+    MuJoCo gives these relative to the camera's parent body: the result is `body_from_camera`.
+
+    Args:
+        cam_pos: `[..., 3]`.
+        cam_quat: `[..., 4]`; normalised here, as MuJoCo's compiler does.
+    """
+    xp = namespace(cam_pos, cam_quat)
+    q = as_float(cam_quat, xp)
+    q = q / xp.linalg.norm(q, axis=-1, keepdims=True)
+    w, x, y, z = (q[..., i] for i in range(4))
+    rows = (
+        *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    rotation = xp.stack(rows, axis=-1).reshape(*q.shape[:-1], 3, 3)
+    return opencv_from_opengl(_rigid(xp, rotation, as_float(cam_pos, xp)))
+
+
+def to_mujoco_quat(body_from_camera: Array) -> tuple[Array, Array]:
+    """MJCF `pos` `[..., 3]` and `quat` `[..., 4]` (w, x, y, z; w >= 0) of a pose in its body."""
+    pose = opengl_from_opencv(body_from_camera)
+    return pose[..., :3, 3], _quaternion(namespace(pose), pose[..., :3, :3])
+
+
+def from_robosuite(extrinsic: Array) -> Array:
+    """Pose from robosuite's `get_camera_extrinsic_matrix(sim, name)`.
+
+    Despite its name that function returns the camera's pose in OpenCV axes, which is what jaxcam
+    uses: nothing changes. `get_camera_intrinsic_matrix` needs no conversion either. Images do:
+    robosuite's default `IMAGE_CONVENTION = "opengl"` stores the bottom row first; use
+    `image[::-1]` with both matrices.
+    """
+    return as_float(extrinsic, namespace(extrinsic))
+
+
+def from_maniskill(extrinsic_cv: Array) -> Array:
+    """Pose from ManiSkill's `extrinsic_cv`, which maps world to camera, `[..., 3 or 4, 4]`."""
+    xp = namespace(extrinsic_cv)
+    extrinsic = as_float(extrinsic_cv, xp)
+    if extrinsic.shape[-2:] not in ((3, 4), (4, 4)):
+        raise CameraError(
+            f"extrinsic_cv has the wrong shape: expected [..., 3, 4] or [..., 4, 4], got "
+            f"{list(extrinsic.shape)}."
+        )
+    return invert(_rigid(xp, extrinsic[..., :3, :3], extrinsic[..., :3, 3]))
+
+
+def from_maniskill_gl(cam2world_gl: Array) -> Array:
+    """Pose from ManiSkill's `cam2world_gl`."""
+    return opencv_from_opengl(cam2world_gl)
+
+
+def to_maniskill(world_from_camera: Array) -> tuple[Array, Array]:
+    """`extrinsic_cv` `[..., 3, 4]` and `cam2world_gl` `[..., 4, 4]` of a pose."""
+    return invert(world_from_camera)[..., :3, :], opengl_from_opencv(world_from_camera)
+
+
+def read_pose_file(path: str | Path) -> tuple[np.ndarray, dict[str, Any]]:
+    """Read a pose file of the paper's authors.
+
+    The file is JSON, `{"config": {...}, "poses": [4x4, ...]}`, camera-to-world in OpenGL axes.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Poses `[count, 4, 4]` in OpenCV axes, float64, and the config as it stands in the file.
+
+    Raises:
+        CameraError: If the file is not of this form or a pose is impossible.
+    """
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise CameraError(f"{path} is not JSON ({error}). Likely cause: a cut download.") from None
+    if not isinstance(content, dict) or not isinstance(content.get("poses"), list):
+        found = list(content) if isinstance(content, dict) else type(content).__name__
+        raise CameraError(f"{path}: expected an object with a list 'poses', found {found}.")
+    try:
+        poses = np.asarray(content["poses"], np.float64)
+    except (TypeError, ValueError):
+        raise CameraError(f"{path}: 'poses' must be a list of 4x4 matrices of numbers.") from None
+    if poses.ndim != 3:
+        raise CameraError(f"{path}: expected [count, 4, 4] poses, got {list(poses.shape)}.")
+    check_pose(f"{path} pose", poses)
+    return opencv_from_opengl(poses), content.get("config", {})
+
+
+def write_pose_file(
+    path: str | Path, world_from_camera: Array, config: Mapping[str, Any] | None = None
+) -> None:
+    """Write poses as a file the authors' code reads; see `read_pose_file`.
+
+    Args:
+        path: The file; overwritten.
+        world_from_camera: Poses `[count, 4, 4]` in OpenCV axes.
+        config: Anything JSON can hold about where the poses come from.
+    """
+    poses = np.asarray(world_from_camera, np.float64)
+    if poses.ndim != 3:
+        raise CameraError(f"expected [count, 4, 4] poses to write, got {list(poses.shape)}.")
+    check_pose("pose", poses)
+    content = {"config": dict(config or {}), "poses": opengl_from_opencv(poses).tolist()}
+    Path(path).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def _change_axes(world_from_camera: Array, axes: np.ndarray) -> Array:
+    xp = namespace(world_from_camera)
+    pose = as_float(world_from_camera, xp)
+    return matmul(pose, xp.asarray(axes, pose.dtype))
+
+
+def _rigid(xp: ModuleType, rotation: Array, position: Array) -> Array:
+    """4x4 transform from a rotation `[..., 3, 3]` and a position `[..., 3]`."""
+    batch = np.broadcast_shapes(rotation.shape[:-2], position.shape[:-1])
+    top = xp.concatenate(
+        [
+            xp.broadcast_to(rotation, (*batch, 3, 3)),
+            xp.broadcast_to(position, (*batch, 3))[..., None],
+        ],
+        axis=-1,
+    )
+    bottom = xp.broadcast_to(xp.asarray([0, 0, 0, 1], top.dtype), (*batch, 1, 4))
+    return xp.concatenate([top, bottom], axis=-2)
+
+
+def _quaternion(xp: ModuleType, R: Array) -> Array:
+    """Quaternion (w, x, y, z), w >= 0, of a rotation.
+
+    The four rows are q times 4w, 4x, 4y and 4z; the longest is the best conditioned.
+    """
+    r = {(i, j): R[..., i, j] for i in range(3) for j in range(3)}
+    wx, wy, wz = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
+    xy, xz, yz = r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1]
+    d0, d1, d2 = r[0, 0], r[1, 1], r[2, 2]
+    table = xp.stack(
+        [
+            xp.stack([1 + d0 + d1 + d2, wx, wy, wz], axis=-1),
+            xp.stack([wx, 1 + d0 - d1 - d2, xy, xz], axis=-1),
+            xp.stack([wy, xy, 1 - d0 + d1 - d2, yz], axis=-1),
+            xp.stack([wz, xz, yz, 1 - d0 - d1 + d2], axis=-1),
+        ],
+        axis=-2,
+    )
+    best = xp.argmax(xp.stack([table[..., i, i] for i in range(4)], axis=-1), axis=-1)
+    q = xp.take_along_axis(table, best[..., None, None], axis=-2)[..., 0, :]
+    q = q / xp.linalg.norm(q, axis=-1, keepdims=True)
+    return xp.where(q[..., :1] < 0, -q, q)
