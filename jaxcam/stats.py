@@ -1,0 +1,236 @@
+"""Success rates with honest intervals: Wilson, cluster bootstrap over pairs, paired differences.
+
+A *pair* is one held-out (initial state, camera pose). Rollouts of several seeds or checkpoints on
+the same pair are not independent, so every interval resamples pairs, never single rollouts. It
+therefore speaks about new pairs of the same kind, not about seeds that were never trained. All
+functions take evaluation rows (one dict a rollout) and are deterministic.
+"""
+
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+Row = Mapping[str, Any]
+
+LEVEL = 0.95
+_Z = 1.959963984540054  # normal quantile of the two-sided 95 % interval
+_RESAMPLES = 10_000
+_EXACT_FLIPS = 12  # up to 2^12 sign patterns are enumerated instead of sampled
+_BLOCK = 4_000_000  # drawn indices held in memory at once
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A success rate with its 95 % interval, all as fractions.
+
+    Attributes:
+        value: Share of successful rollouts (NaN without rollouts).
+        low: Lower end of the interval.
+        high: Upper end of the interval.
+        n: Rollouts counted.
+        clusters: Distinct pairs among them.
+        excluded: Rows left out because the rollout did not finish.
+    """
+
+    value: float
+    low: float
+    high: float
+    n: int
+    clusters: int
+    excluded: int = 0
+
+    def __str__(self) -> str:
+        rate = f"{100 * self.value:.1f} % [{100 * self.low:.1f}, {100 * self.high:.1f}]"
+        pairs = f" on {self.clusters} pairs" if self.clusters != self.n else ""
+        left_out = f", {self.excluded} excluded" if self.excluded else ""
+        return f"{rate if self.n else 'no finished rollouts'} (n = {self.n}{pairs}{left_out})"
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Success of arm A minus success of arm B on the pairs both were evaluated on, as a fraction.
+
+    Attributes:
+        value: Mean over pairs of (A's mean over seeds - B's mean over seeds); NaN without pairs.
+        low: Lower end of the 95 % interval.
+        high: Upper end of the 95 % interval.
+        p_value: Two-sided sign-flip permutation p-value of "no difference".
+        pairs: Shared pairs.
+        unpaired: Pairs only one arm has; they are left out.
+        excluded: Rows left out because the rollout did not finish.
+    """
+
+    value: float
+    low: float
+    high: float
+    p_value: float
+    pairs: int
+    unpaired: int = 0
+    excluded: int = 0
+
+    def __str__(self) -> str:
+        if not self.pairs:
+            return f"no shared pairs ({self.unpaired} unpaired, {self.excluded} excluded)"
+        value, low, high = (100 * x for x in (self.value, self.low, self.high))
+        notes = [f"p {_p_text(self.p_value)}", f"{self.pairs} pairs"]
+        notes += [f"{self.unpaired} unpaired"] if self.unpaired else []
+        notes += [f"{self.excluded} excluded"] if self.excluded else []
+        return f"{value:+.1f} points [{low:+.1f}, {high:+.1f}] ({', '.join(notes)})"
+
+
+def wilson(successes: float, n: int) -> tuple[float, float]:
+    """Wilson's 95 % interval of a share, for independent rollouts.
+
+    Args:
+        successes: How many succeeded, 0 to n.
+        n: How many were tried.
+
+    Returns:
+        Lower and upper end; (0, 1) when nothing was tried.
+    """
+    if n < 0 or not 0 <= successes <= n:
+        raise ValueError(f"need 0 <= successes <= n, got successes = {successes}, n = {n}")
+    if n == 0:
+        return 0.0, 1.0
+    share, z2 = successes / n, _Z**2
+    centre = (share + z2 / (2 * n)) / (1 + z2 / n)
+    half = _Z / (1 + z2 / n) * np.sqrt(share * (1 - share) / n + z2 / (4 * n**2))
+    return float(max(centre - half, 0.0)), float(min(centre + half, 1.0))
+
+
+def success_rate(rows: Iterable[Row]) -> Estimate:
+    """Success rate with a cluster-bootstrap interval over pairs.
+
+    With one row a pair this is the ordinary bootstrap. Where (almost) all pairs agree, resampling
+    alone would give an interval of (almost) no width, so the interval always allows for the share
+    of pairs of another kind that this many pairs can have missed; at 0 and 100 % that is Wilson's.
+
+    Args:
+        rows: Evaluation rows. Those that did not finish are excluded and counted.
+
+    Returns:
+        The estimate, over all rollouts pooled.
+    """
+    groups, excluded = _by_pair(rows)
+    if not groups:
+        return Estimate(float("nan"), 0.0, 1.0, 0, 0, excluded)
+    sums = np.array([sum(outcomes) for outcomes in groups.values()], float)
+    sizes = np.array([len(outcomes) for outcomes in groups.values()], float)
+    low, high = _bootstrap(sums, sizes, floor=0.0)
+    total = int(sizes.sum())
+    return Estimate(float(sums.sum() / total), low, high, total, len(groups), excluded)
+
+
+def paired_difference(rows_a: Iterable[Row], rows_b: Iterable[Row]) -> Difference:
+    """Compare two arms on the pairs they share.
+
+    Seeds are averaged inside each pair first, so that several seeds an arm do not count as more
+    pairs than there are. The interval is a bootstrap over pairs; the p-value flips the sign of each
+    pair's difference (all sign patterns where there are few pairs, random ones otherwise).
+
+    Args:
+        rows_a: Evaluation rows of arm A.
+        rows_b: Evaluation rows of arm B.
+
+    Returns:
+        The mean difference A - B with interval, p-value and what was left out.
+    """
+    (groups_a, excluded_a), (groups_b, excluded_b) = _by_pair(rows_a), _by_pair(rows_b)
+    shared = [pair for pair in groups_a if pair in groups_b]
+    unpaired = len(groups_a.keys() ^ groups_b.keys())
+    excluded = excluded_a + excluded_b
+    if not shared:
+        return Difference(float("nan"), -1.0, 1.0, 1.0, 0, unpaired, excluded)
+    deltas = np.array([np.mean(groups_a[pair]) - np.mean(groups_b[pair]) for pair in shared])
+    low, high = _bootstrap(deltas, np.ones_like(deltas), floor=-1.0)
+    p_value = _sign_flip_p(deltas)
+    return Difference(float(deltas.mean()), low, high, p_value, len(shared), unpaired, excluded)
+
+
+def latest_rows(rows: Iterable[Row]) -> list[Row]:
+    """Keep the last row of each rollout, so that a re-run replaces the attempt that failed.
+
+    Args:
+        rows: Evaluation rows in the order they were written.
+
+    Returns:
+        One row for each (task, scene, run, policy, conditioning, seed, step, pair).
+    """
+    identity = ("task", "scene", "run", "policy", "conditioning", "seed", "step", "pair")
+    return list({tuple(row.get(name) for name in identity): row for row in rows}.values())
+
+
+def is_finished(row: Row) -> bool:
+    """Whether the rollout of this row ran to its end and has an outcome."""
+    return row.get("status") == "ok" and row.get("success") is not None
+
+
+def by_field(rows: Sequence[Row], name: str) -> dict[Any, list[Row]]:
+    """Split rows by the value of one field, in order of first appearance.
+
+    Args:
+        rows: Evaluation rows.
+        name: A field such as "seed" or "step".
+
+    Returns:
+        Rows by value.
+    """
+    groups: dict[Any, list[Row]] = {}
+    for row in rows:
+        groups.setdefault(row.get(name), []).append(row)
+    return groups
+
+
+def _by_pair(rows: Iterable[Row]) -> tuple[dict[Hashable, list[float]], int]:
+    """Outcomes of finished rollouts by pair, and how many rows were not finished."""
+    groups: dict[Hashable, list[float]] = {}
+    excluded = 0
+    for row in rows:
+        if not is_finished(row):
+            excluded += 1
+            continue
+        # Pair 3 of one task is not pair 3 of another.
+        key = (row.get("task"), row.get("scene"), row["pair"])
+        groups.setdefault(key, []).append(float(row["success"]))
+    return groups, excluded
+
+
+def _bootstrap(sums: np.ndarray, sizes: np.ndarray, floor: float) -> tuple[float, float]:
+    """Percentile interval of sum(sums) / sum(sizes), resampling clusters; values in [floor, 1]."""
+    count = len(sums)
+    value = float(sums.sum() / sizes.sum())
+    rng = np.random.default_rng(0)
+    block = max(_BLOCK // count, 1)
+    estimates: list[np.ndarray] = []
+    for start in range(0, _RESAMPLES, block):
+        drawn = rng.integers(0, count, (min(block, _RESAMPLES - start), count), dtype=np.int32)
+        estimates.append(sums[drawn].sum(1) / sizes[drawn].sum(1))
+    tail = (1 - LEVEL) / 2
+    low, high = np.quantile(np.concatenate(estimates), [tail, 1 - tail])
+    missed = wilson(0, count)[1]  # share of clusters that may exist and never have been drawn
+    worst, best = value - missed * (value - floor), value + missed * (1 - value)
+    return min(float(low), worst), max(float(high), best)
+
+
+def _sign_flip_p(deltas: np.ndarray) -> float:
+    """Two-sided p-value of a zero mean under random signs of the differences."""
+    moving = deltas[deltas != 0]  # a zero difference is the same under both signs
+    observed = abs(moving.sum()) - 1e-9  # ties must count as ties in floating point
+    if len(moving) <= _EXACT_FLIPS:
+        patterns = np.arange(2 ** len(moving))[:, None] >> np.arange(len(moving)) & 1
+        return float(np.mean(np.abs((1 - 2 * patterns) @ moving) >= observed))
+    rng = np.random.default_rng(0)
+    block = max(_BLOCK // len(moving), 1)
+    as_large = 0
+    for start in range(0, _RESAMPLES, block):
+        shape = (min(block, _RESAMPLES - start), len(moving))
+        signs = 1 - 2 * rng.integers(0, 2, shape, dtype=np.int8)
+        as_large += int(np.sum(np.abs(signs @ moving) >= observed))
+    return (1 + as_large) / (1 + _RESAMPLES)
+
+
+def _p_text(p_value: float) -> str:
+    """A p-value as people write it."""
+    return "< 0.001" if p_value < 0.001 else f"= {p_value:.3f}"
