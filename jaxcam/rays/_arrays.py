@@ -29,6 +29,17 @@ def matmul(a: Array, b: Array) -> Array:
     return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
 
 
+def rigid(rotation: Array, position: Array) -> Array:
+    """4x4 transforms from rotations `[..., 3, 3]` and positions `[..., 3]`."""
+    xp = namespace(rotation, position)
+    batch = np.broadcast_shapes(rotation.shape[:-2], position.shape[:-1])
+    rotation = xp.broadcast_to(rotation, (*batch, 3, 3))
+    position = xp.broadcast_to(position, (*batch, 3))[..., None]
+    top = xp.concatenate([rotation, position], axis=-1)
+    bottom = xp.broadcast_to(xp.asarray([0, 0, 0, 1], top.dtype), (*batch, 1, 4))
+    return xp.concatenate([top, bottom], axis=-2)
+
+
 def is_concrete(a: Array) -> bool:
     """Whether the values of `a` can be looked at now (false for a tracer inside `jit`)."""
     return not isinstance(a, jax.core.Tracer)

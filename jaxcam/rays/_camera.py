@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass, replace
 from functools import partial
+from types import ModuleType
 
 import jax
 import numpy as np
 
 from jaxcam.errors import CameraError
-from jaxcam.rays._arrays import Array, as_float, matmul, namespace
+from jaxcam.rays._arrays import Array, as_float, is_concrete, matmul, namespace
 from jaxcam.rays._checks import check_camera
 from jaxcam.rays._convert import opengl_from_opencv
 from jaxcam.rays._plucker import Convention, rays
@@ -52,6 +53,11 @@ class Camera:
         """
         xp = namespace(fovy)
         fovy = as_float(fovy, xp)
+        if is_concrete(fovy) and not (np.asarray(fovy > 0) & np.asarray(fovy < np.pi)).all():
+            raise CameraError(
+                f"fovy must lie between 0 and pi radians, got {fovy}. Likely cause: degrees; "
+                "see numpy.deg2rad."
+            )
         f = 0.5 * height / xp.tan(0.5 * fovy)
         zero, one = xp.zeros_like(f), xp.ones_like(f)
         rows = (f, zero, 0.5 * width * one, zero, f, 0.5 * height * one, zero, zero, one)
@@ -103,7 +109,7 @@ class Camera:
         Args:
             depth: Planar depth, the z coordinate in camera axes (as MuJoCo's renderer gives it, not
                 the length of the ray): `[*batch, height, width]`, or `[*batch, ...]` with `pixels`.
-            pixels: Pixel coordinates (u, v), `[*batch, ..., 2]`; every pixel's centre when left out.
+            pixels: Pixel coordinates (u, v), `[*batch, ..., 2]`; all pixels' centres if left out.
 
         Returns:
             Points `[*batch, ..., 3]`.
@@ -207,7 +213,7 @@ class Camera:
         K = as_float(self.K, xp)
         return K * xp.asarray(scale, K.dtype)[:, None]
 
-    def _spread(self, xp: np.ndarray, ndim: int) -> tuple[Array, Array]:
+    def _spread(self, xp: ModuleType, ndim: int) -> tuple[Array, Array]:
         """K and pose with axes of one inserted after the batch axes, `ndim` leading axes in all."""
         extra = ndim - len(self.batch)
         if extra < 0:

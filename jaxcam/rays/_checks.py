@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxcam.errors import CameraError
@@ -51,7 +53,13 @@ def check_camera(
 
 def check_shape(name: str, what: str, value: Array, expected: tuple[int, int]) -> None:
     """Raise `CameraError` unless `value` is `[..., *expected]`."""
-    shape = np.shape(value)
+    try:
+        array = value if isinstance(value, jax.Array) else np.asarray(value)
+    except ValueError:
+        raise CameraError(f"{name}: {what} must be an array of numbers, got {value!r}.") from None
+    shape, dtype = array.shape, array.dtype
+    if not (jnp.issubdtype(dtype, jnp.floating) or jnp.issubdtype(dtype, jnp.integer)):
+        raise CameraError(f"{name}: {what} must hold real numbers, got dtype {dtype}.")
     if shape[-2:] == expected:
         return
     rows, columns = expected
@@ -73,7 +81,8 @@ def _check_size(name: str, height: int, width: int) -> None:
     for what, value in (("height", height), ("width", width)):
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value <= 0:
             raise CameraError(
-                f"{name}: image {what} must be a positive whole number of pixels, got {value!r}."
+                f"{name}: image {what} must be a positive whole number of pixels, known when "
+                f"tracing; got {value!r}."
             )
 
 
@@ -120,7 +129,7 @@ def _check_intrinsics(name: str, K: np.ndarray, height: int, width: int, off_axi
         ),
     )
     require(
-        (np.abs(fx) > 0.01 * width) & (fy > 0.01 * height),
+        (np.abs(fx) > 0.05 * width) & (fy > 0.05 * height),
         "focal lengths must be in pixels",
         lambda k: (
             f"got fx {k[0, 0]:g}, fy {k[1, 1]:g} for a {width}x{height} image. Likely cause: K is "
@@ -130,7 +139,7 @@ def _check_intrinsics(name: str, K: np.ndarray, height: int, width: int, off_axi
 
 
 def check_pose(name: str, pose: np.ndarray) -> None:
-    """Raise `CameraError` for the first of the poses `[..., 4, 4]` that is not a rigid transform."""
+    """Raise `CameraError` for the first of `[..., 4, 4]` that is not a rigid transform."""
     check_shape(name, "world_from_camera", pose, (4, 4))
 
     def require(ok: np.ndarray, check: str, describe: Callable[[np.ndarray], str]) -> None:

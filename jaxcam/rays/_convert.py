@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from jaxcam.errors import CameraError
-from jaxcam.rays._arrays import Array, as_float, matmul, namespace
+from jaxcam.rays._arrays import Array, as_float, matmul, namespace, rigid
 from jaxcam.rays._checks import check_pose
 
 # Columns: the axes of the foreign camera frame, in OpenCV axes.
@@ -27,7 +27,7 @@ def invert(transform: Array) -> Array:
     xp = namespace(transform)
     transform = as_float(transform, xp)
     rotation_t = xp.swapaxes(transform[..., :3, :3], -1, -2)
-    return _rigid(xp, rotation_t, -matmul(rotation_t, transform[..., :3, 3:])[..., 0])
+    return rigid(rotation_t, -matmul(rotation_t, transform[..., :3, 3:])[..., 0])
 
 
 def opencv_from_opengl(world_from_camera: Array) -> Array:
@@ -41,7 +41,7 @@ def opengl_from_opencv(world_from_camera: Array) -> Array:
 
 
 def opencv_from_sapien(world_from_camera: Array) -> Array:
-    """Pose in OpenCV axes of a SAPIEN camera pose (x forward, y left, z up), as in `CameraConfig`."""
+    """Pose in OpenCV axes of a SAPIEN pose (x forward, y left, z up), as in `CameraConfig`."""
     return _change_axes(world_from_camera, _SAPIEN.T)
 
 
@@ -61,11 +61,11 @@ def from_mujoco(cam_xpos: Array, cam_xmat: Array) -> Array:
     cam_xpos, cam_xmat = as_float(cam_xpos, xp), as_float(cam_xmat, xp)
     if cam_xmat.shape[-2:] != (3, 3):
         cam_xmat = cam_xmat.reshape(*cam_xmat.shape[:-1], 3, 3)
-    return opencv_from_opengl(_rigid(xp, cam_xmat, cam_xpos))
+    return opencv_from_opengl(rigid(cam_xmat, cam_xpos))
 
 
 def to_mujoco(world_from_camera: Array) -> tuple[Array, Array]:
-    """`cam_xpos` `[..., 3]` and `cam_xmat` `[..., 3, 3]` of a pose (flatten the latter for MjData)."""
+    """`cam_xpos` `[..., 3]` and `cam_xmat` `[..., 3, 3]` of a pose; `MjData` wants the latter flat."""
     pose = opengl_from_opencv(world_from_camera)
     return pose[..., :3, 3], pose[..., :3, :3]
 
@@ -89,7 +89,7 @@ def from_mujoco_quat(cam_pos: Array, cam_quat: Array) -> Array:
         *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
     rotation = xp.stack(rows, axis=-1).reshape(*q.shape[:-1], 3, 3)
-    return opencv_from_opengl(_rigid(xp, rotation, as_float(cam_pos, xp)))
+    return opencv_from_opengl(rigid(rotation, as_float(cam_pos, xp)))
 
 
 def to_mujoco_quat(body_from_camera: Array) -> tuple[Array, Array]:
@@ -118,7 +118,7 @@ def from_maniskill(extrinsic_cv: Array) -> Array:
             f"extrinsic_cv has the wrong shape: expected [..., 3, 4] or [..., 4, 4], got "
             f"{list(extrinsic.shape)}."
         )
-    return invert(_rigid(xp, extrinsic[..., :3, :3], extrinsic[..., :3, 3]))
+    return invert(rigid(extrinsic[..., :3, :3], extrinsic[..., :3, 3]))
 
 
 def from_maniskill_gl(cam2world_gl: Array) -> Array:
@@ -186,25 +186,9 @@ def _change_axes(world_from_camera: Array, axes: np.ndarray) -> Array:
     return matmul(pose, xp.asarray(axes, pose.dtype))
 
 
-def _rigid(xp: ModuleType, rotation: Array, position: Array) -> Array:
-    """4x4 transform from a rotation `[..., 3, 3]` and a position `[..., 3]`."""
-    batch = np.broadcast_shapes(rotation.shape[:-2], position.shape[:-1])
-    top = xp.concatenate(
-        [
-            xp.broadcast_to(rotation, (*batch, 3, 3)),
-            xp.broadcast_to(position, (*batch, 3))[..., None],
-        ],
-        axis=-1,
-    )
-    bottom = xp.broadcast_to(xp.asarray([0, 0, 0, 1], top.dtype), (*batch, 1, 4))
-    return xp.concatenate([top, bottom], axis=-2)
-
-
 def _quaternion(xp: ModuleType, R: Array) -> Array:
-    """Quaternion (w, x, y, z), w >= 0, of a rotation.
-
-    The four rows are q times 4w, 4x, 4y and 4z; the longest is the best conditioned.
-    """
+    """Quaternion (w, x, y, z), w >= 0, of a rotation."""
+    # The rows of the table are q times 4w, 4x, 4y and 4z; the longest is the best conditioned.
     r = {(i, j): R[..., i, j] for i in range(3) for j in range(3)}
     wx, wy, wz = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
     xy, xz, yz = r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1]

@@ -1,7 +1,7 @@
 """The ray-map: per pixel, the Plücker coordinates of the line of sight.
 
-A pixel with normalised image coordinates (x, y) looks along `R @ (x, y, 1)`. That is affine in x and
-in y, and so is its moment `C × d`: with r1, r2, r3 the columns of R,
+A pixel with normalised image coordinates (x, y) looks along `R @ (x, y, 1)`. That is affine in x
+and in y, and so is its moment `C × d`: with r1, r2, r3 the columns of R,
 
     (d, m) = [ (r1, C×r1) x + (r2, C×r2) y + (r3, C×r3) ] / |r1 x + r2 y + r3|
 
@@ -9,11 +9,13 @@ so a whole map is one elementwise expression of a row vector and a column vector
 """
 
 from functools import partial
-from typing import Literal
+from typing import Literal, get_args
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from jaxcam.errors import ConfigError, closest
 from jaxcam.rays._arrays import Array
 from jaxcam.rays._checks import check_camera
 
@@ -51,7 +53,12 @@ def plucker(
         CameraError: If a camera is impossible; the message names it.
     """
     check_camera(K, world_from_camera, height, width)
-    return rays(K, world_from_camera, int(height), int(width), convention)
+    return rays(_float32(K), _float32(world_from_camera), int(height), int(width), convention)
+
+
+def _float32(a: Array) -> Array:
+    # One dtype for everything NumPy, so that float64 and lists reuse the compiled function.
+    return a if isinstance(a, jax.Array) else np.asarray(a, np.float32)
 
 
 @partial(jax.jit, static_argnums=(2, 3, 4))
@@ -59,8 +66,10 @@ def rays(
     K: Array, world_from_camera: Array, height: int, width: int, convention: Convention
 ) -> jax.Array:
     """The ray-map without checks; see `plucker`."""
-    if convention not in ("jaxcam", "authors"):
-        raise ValueError(f"convention must be 'jaxcam' or 'authors', got {convention!r}")
+    if convention not in get_args(Convention):
+        raise ConfigError(
+            f"unknown ray convention '{convention}'{closest(str(convention), get_args(Convention))}"
+        )
     authors = convention == "authors"
     offset, eps = (1.0, 1e-8) if authors else (0.5, 0.0)
     K = jnp.asarray(K, jnp.float32)
