@@ -1,0 +1,207 @@
+"""The training state and the compiled update.
+
+An update is a pure function of (state, batch, root key). Randomness comes from the root key, a
+stream and the step alone, so a run that was stopped goes on exactly where it was.
+"""
+
+import dataclasses
+import enum
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from jaxcam.config import TrainConfig
+from jaxcam.errors import DivergedError
+
+Params = Any
+Batch = dict[str, jax.Array]
+Metrics = dict[str, jax.Array]
+Loss = Callable[[Params, Batch, jax.Array], tuple[jax.Array, Metrics]]
+Augment = Callable[[Batch, jax.Array], Batch]
+
+MAX_BAD_STEPS = 10
+
+
+class Stream(enum.IntEnum):
+    """What a random number is for. Numbers are part of a run's identity: add, never renumber."""
+
+    INIT = 0
+    DATA = 1
+    CROP = 2
+    DROPOUT = 3
+    POSE = 4
+    EVAL = 5
+
+
+def stream_key(root: jax.Array, stream: Stream, index: int | jax.Array = 0) -> jax.Array:
+    """The key of one stream at one index, such as the dropout of one step.
+
+    Args:
+        root: The run's key, `jax.random.key(seed)`.
+        stream: What the key is for.
+        index: Absolute index within the stream.
+    """
+    return jax.random.fold_in(jax.random.fold_in(root, stream), index)
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class TrainState:
+    """All that an update changes; a checkpoint holds exactly this."""
+
+    step: jax.Array
+    """Updates so far, skipped ones included."""
+    params: Params
+    opt: optax.OptState
+    bad_steps: jax.Array
+    """Updates in a row that were skipped because they were not finite."""
+    ema: Params | None = None
+    """Moving average of the parameters, or None if the run keeps none."""
+
+    @property
+    def eval_params(self) -> Params:
+        """The parameters that are evaluated."""
+        return self.params if self.ema is None else self.ema
+
+
+def make_schedule(config: TrainConfig) -> optax.Schedule:
+    """Learning rate over updates: linear warm-up, then constant or a cosine to zero."""
+    start = config.lr / (config.warmup + 1)  # Not 0: the first update should count.
+    if config.schedule == "constant":
+        return optax.warmup_constant_schedule(start, config.lr, config.warmup)
+    return optax.warmup_cosine_decay_schedule(start, config.lr, config.warmup, config.steps)
+
+
+def make_optimizer(config: TrainConfig) -> optax.GradientTransformation:
+    """AdamW on gradients clipped by their global norm."""
+    return optax.chain(
+        optax.clip_by_global_norm(config.clip_norm),
+        optax.adamw(make_schedule(config), b1=0.9, b2=0.999, weight_decay=config.weight_decay),
+    )
+
+
+def init_state(
+    init: Callable[[jax.Array], Params],
+    tx: optax.GradientTransformation,
+    root: jax.Array,
+    *,
+    ema: bool = False,
+) -> TrainState:
+    """The state before the first update.
+
+    Args:
+        init: A policy's `init`.
+        tx: Optimizer.
+        root: The run's key, `jax.random.key(seed)`.
+        ema: Whether to keep a moving average of the parameters.
+    """
+    params = init(stream_key(root, Stream.INIT))
+    return TrainState(
+        step=jnp.int32(0),
+        params=params,
+        opt=tx.init(params),
+        bad_steps=jnp.int32(0),
+        # A copy, since the update donates the state and a buffer can be donated only once.
+        ema=jax.tree.map(jnp.copy, params) if ema else None,
+    )
+
+
+def train_step(
+    state: TrainState,
+    batch: Batch,
+    root: jax.Array,
+    *,
+    loss: Loss,
+    tx: optax.GradientTransformation,
+    augment: Augment | None = None,
+    ema: float = 0.0,
+) -> tuple[TrainState, Metrics]:
+    """One update; skipped, and counted, if loss or gradient are not finite.
+
+    Args:
+        state: Before the update.
+        batch: Samples.
+        root: The run's key.
+        loss: A policy's `loss`.
+        tx: Optimizer.
+        augment: Changes the batch by a key, before the loss.
+        ema: Decay of the moving average.
+
+    Returns:
+        The state after the update, and scalars: those of the loss, "loss", "grad_norm", "skipped".
+    """
+    if augment is not None:
+        batch = augment(batch, stream_key(root, Stream.CROP, state.step))
+    key = stream_key(root, Stream.DROPOUT, state.step)
+    (value, metrics), grads = jax.value_and_grad(loss, has_aux=True)(state.params, batch, key)
+    norm = optax.tree.norm(grads)
+    is_good = jnp.isfinite(value) & jnp.isfinite(norm)
+
+    updates, opt = tx.update(grads, state.opt, state.params)
+    params = optax.apply_updates(state.params, updates)
+    average = state.ema
+    if average is not None:
+        average = jax.tree.map(lambda a, p: ema * a + (1 - ema) * p, average, params)
+    new, old = (params, opt, average), (state.params, state.opt, state.ema)
+    params, opt, average = jax.tree.map(lambda n, o: jnp.where(is_good, n, o), new, old)
+    metrics = {**metrics, "loss": value, "grad_norm": norm, "skipped": 1.0 - is_good}
+    bad_steps = jnp.where(is_good, 0, state.bad_steps + 1)
+    return TrainState(state.step + 1, params, opt, bad_steps, average), metrics
+
+
+def make_train_chunk(
+    loss: Loss,
+    tx: optax.GradientTransformation,
+    *,
+    augment: Augment | None = None,
+    ema: float = 0.0,
+) -> Callable[[TrainState, Batch, jax.Array], tuple[TrainState, Metrics]]:
+    """Compile several updates into one call.
+
+    Args:
+        loss: A policy's `loss`.
+        tx: Optimizer.
+        augment: Changes the batch by a key, before the loss.
+        ema: Decay of the moving average.
+
+    Returns:
+        `train_chunk(state, batches, root) -> (state, metrics)`. Arrays in `batches` and `metrics`
+        have the updates as their first axis. The state is donated: do not use it again.
+    """
+
+    def train_chunk(
+        state: TrainState, batches: Batch, root: jax.Array
+    ) -> tuple[TrainState, Metrics]:
+        def step(state: TrainState, batch: Batch) -> tuple[TrainState, Metrics]:
+            return train_step(state, batch, root, loss=loss, tx=tx, augment=augment, ema=ema)
+
+        if jax.tree.leaves(batches)[0].shape[0] == 1:
+            # Not a loop of one: XLA's CPU backend runs convolutions inside loops 6 times slower.
+            state, metrics = step(state, jax.tree.map(lambda x: x[0], batches))
+            return state, jax.tree.map(lambda x: x[None], metrics)
+        return jax.lax.scan(step, state, batches)
+
+    return jax.jit(train_chunk, donate_argnums=0)
+
+
+def check_finite(state: TrainState, *, limit: int = MAX_BAD_STEPS) -> None:
+    """Stop a run that has diverged. Waits for the update, so call it once per chunk or less.
+
+    Args:
+        state: After an update.
+        limit: Skipped updates in a row that are too many.
+
+    Raises:
+        DivergedError: The last `limit` updates were not finite.
+    """
+    bad = int(state.bad_steps)
+    if bad >= limit:
+        raise DivergedError(
+            f"Loss or gradient was not finite in {bad} updates in a row, up to update "
+            f"{int(state.step)}; the parameters are those from before. Likely causes: a learning "
+            "rate that is too high (--lr), or non-finite numbers in the data. The last "
+            "checkpoint is whole."
+        )
