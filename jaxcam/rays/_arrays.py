@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 Array = Any
 """A NumPy or JAX array, or anything `numpy.asarray` takes."""
@@ -42,4 +43,4 @@ def rigid(rotation: Array, position: Array) -> Array:
 
 def is_concrete(a: Array) -> bool:
     """Whether the values of `a` can be looked at now (false for a tracer inside `jit`)."""
-    return not isinstance(a, jax.core.Tracer)
+    return not isinstance(a, Tracer)

@@ -103,7 +103,7 @@ class Camera:
         v = K[..., 1, 1] * y + K[..., 1, 2]
         return xp.stack(xp.broadcast_arrays(u, v), axis=-1), depth
 
-    def unproject(self, depth: Array, pixels: Array | None = None) -> Array:
+    def unproject(self, depth: Array, pixels: Array = None) -> Array:
         """World points seen at given depths.
 
         Args:

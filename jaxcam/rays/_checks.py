@@ -12,6 +12,13 @@ from jaxcam.rays._arrays import Array, is_concrete
 ROTATION_TOLERANCE = 1e-3
 """Largest accepted entry of |RᵀR - I|."""
 
+_BOTTOM = np.array([0.0, 0.0, 0.0, 1.0])
+_EYE = np.eye(3)
+
+
+def _missing(_: np.ndarray) -> str:
+    return "a failed calibration or a missing camera"
+
 
 def check_camera(
     K: Array,
@@ -87,127 +94,138 @@ def _check_size(name: str, height: int, width: int) -> None:
 
 
 def _check_intrinsics(name: str, K: np.ndarray, height: int, width: int, off_axis: bool) -> None:
-    def require(ok: np.ndarray, check: str, describe: Callable[[np.ndarray], str]) -> None:
-        _require(name, ok, K, check, describe)
-
-    require(
+    check = _Check(name, K)
+    check(
         np.isfinite(K).all((-2, -1)),
-        "K must be finite",
-        lambda k: f"got {_show(k)}. Likely cause: a failed calibration or a missing camera.",
+        "values of K",
+        expected="finite numbers",
+        got=_show,
+        cause=_missing,
     )
     fx, fy = K[..., 0, 0], K[..., 1, 1]
     # fx < 0 with fy > 0 is a mirrored image, as Camera.flip_horizontal makes.
-    require(
+    check(
         (fx != 0) & (fy > 0),
-        "focal lengths must not be zero, nor fy negative",
-        lambda k: (
-            f"got fx {k[0, 0]:g}, fy {k[1, 1]:g}. Likely cause: "
-            + (
-                "K from an OpenGL projection, whose y axis points up; jaxcam's points down."
-                if k[1, 1] < 0
-                else "K was never filled in."
-            )
+        "focal lengths",
+        expected="fx != 0 and fy > 0",
+        got=_focal_lengths,
+        cause=lambda k: (
+            "K from an OpenGL projection, whose y axis points up; jaxcam's points down"
+            if k[1, 1] < 0
+            else "K was never filled in"
         ),
     )
-    bottom = np.abs(K[..., 2, :] - (0, 0, 1)).max(-1)
-    require(
-        (bottom < 1e-6) & (np.abs(K[..., 1, 0]) < 1e-6 * fy),
-        "K must be upper triangular with last row 0 0 1",
-        lambda k: (
-            f"got {_show(k)}. Likely cause: "
-            + ("K is transposed." if k[2, 0] and not k[0, 2] else "not an intrinsic matrix.")
-        ),
+    check(
+        (K[..., 2, :] == _BOTTOM[1:]).all(-1) & (K[..., 1, 0] == 0),
+        "form of K",
+        expected="[[fx, s, cx], [0, fy, cy], [0, 0, 1]]",
+        got=_show,
+        cause=lambda k: "K is transposed" if k[2, 0] and not k[0, 2] else "not an intrinsic matrix",
     )
     cx, cy = K[..., 0, 2], K[..., 1, 2]
-    require(
+    check(
         off_axis | ((cx >= 0) & (cx <= width) & (cy >= 0) & (cy <= height)),
-        "the principal point must lie in the image",
-        lambda k: (
-            f"expected 0 <= cx <= {width} and 0 <= cy <= {height}, got ({k[0, 2]:g}, {k[1, 2]:g}). "
-            "Likely cause: K belongs to another resolution (see Camera.resize), or is in normalised"
-            " units, or height and width are swapped."
+        "principal point",
+        expected=f"inside the image, 0 <= cx <= {width} and 0 <= cy <= {height}",
+        got=lambda k: f"({k[0, 2]:g}, {k[1, 2]:g})",
+        cause=lambda _: (
+            "K belongs to another resolution (see Camera.resize), or height and width are swapped"
         ),
     )
-    require(
+    check(
         (np.abs(fx) > 0.05 * width) & (fy > 0.05 * height),
-        "focal lengths must be in pixels",
-        lambda k: (
-            f"got fx {k[0, 0]:g}, fy {k[1, 1]:g} for a {width}x{height} image. Likely cause: K is "
-            "in normalised units or millimetres."
-        ),
+        "unit of the focal lengths",
+        expected=f"pixels of a {width}x{height} image",
+        got=_focal_lengths,
+        cause=lambda _: "K is in normalised units or in millimetres",
     )
 
 
 def check_pose(name: str, pose: np.ndarray) -> None:
     """Raise `CameraError` for the first of `[..., 4, 4]` that is not a rigid transform."""
     check_shape(name, "world_from_camera", pose, (4, 4))
-
-    def require(ok: np.ndarray, check: str, describe: Callable[[np.ndarray], str]) -> None:
-        _require(name, ok, pose, check, describe)
-
-    require(
+    check = _Check(name, pose)
+    check(
         np.isfinite(pose).all((-2, -1)),
-        "world_from_camera must be finite",
-        lambda p: f"got {_show(p)}. Likely cause: a failed calibration or a missing camera.",
+        "values of world_from_camera",
+        expected="finite numbers",
+        got=_show,
+        cause=_missing,
     )
-    require(
-        np.abs(pose[..., 3, :] - (0, 0, 0, 1)).max(-1) < 1e-6,
-        "the last row of world_from_camera must be 0 0 0 1",
-        lambda p: (
-            f"got {_show(p[3])}. Likely cause: "
-            + (
-                "the matrix is transposed."
-                if np.allclose(p[:, 3], (0, 0, 0, 1))
-                else "not a rigid transform."
-            )
+    check(
+        (np.abs(pose[..., 3, :] - _BOTTOM) < 1e-6).all(-1),
+        "last row of world_from_camera",
+        expected="[0, 0, 0, 1]",
+        got=lambda p: _show(p[3]),
+        cause=lambda p: (
+            "the matrix is transposed" if (p[:, 3] == _BOTTOM).all() else "not a rigid transform"
         ),
     )
     rotation = pose[..., :3, :3].astype(np.float64)
     gram = np.swapaxes(rotation, -1, -2) @ rotation
-    require(
-        np.abs(gram - np.eye(3)).max((-2, -1)) <= ROTATION_TOLERANCE,
-        "the rotation of world_from_camera must be orthonormal",
-        lambda p: _describe_rotation(p[:3, :3]),
+    check(
+        (np.abs(gram - _EYE) <= ROTATION_TOLERANCE).all((-2, -1)),
+        "rotation R of world_from_camera",
+        expected=f"|RᵀR - I| <= {ROTATION_TOLERANCE:g}",
+        got=lambda p: f"{_rotation_error(p):.3g} with R = {_show(p[:3, :3])}",
+        cause=lambda p: (
+            "the matrix holds a scale"
+            if np.ptp(_column_lengths(p)) < 1e-3
+            else "rounded numbers, averaged matrices, or a quaternion that was not normalised"
+        ),
     )
-    require(
+    check(
         np.linalg.det(rotation) > 0,
-        "the rotation of world_from_camera must have determinant +1",
-        lambda p: (
-            f"got {np.linalg.det(p[:3, :3]):.3f}. Likely cause: a mirrored basis: one axis was "
-            "negated instead of two (OpenGL to OpenCV negates y and z), or two axes were swapped."
+        "determinant of the rotation of world_from_camera",
+        expected="+1",
+        got=lambda p: f"{np.linalg.det(p[:3, :3]):.3f}",
+        cause=lambda _: (
+            "a mirrored basis: one axis was negated instead of two (OpenGL to OpenCV negates y "
+            "and z), or two axes were swapped"
         ),
     )
 
 
-def _describe_rotation(R: np.ndarray) -> str:
-    R = R.astype(np.float64)
-    error = np.abs(R.T @ R - np.eye(3)).max()
-    scale = np.linalg.norm(R, axis=0)
-    if np.allclose(scale, scale[0], rtol=1e-3) and abs(scale[0] - 1) > 1e-4:
-        cause = f"the matrix is scaled by {scale[0]:.4g}."
-    else:
-        cause = "rounded numbers, averaged matrices, or a quaternion that was not normalised."
-    return (
-        f"expected |RᵀR - I| <= {ROTATION_TOLERANCE:g}, got {error:.3g} with R = {_show(R)}. "
-        f"Likely cause: {cause}"
-    )
+class _Check:
+    """Raises for the first camera of a batch that fails; texts are made only then."""
+
+    def __init__(self, name: str, values: np.ndarray) -> None:
+        self.name, self.values = name, values
+
+    def __call__(
+        self,
+        ok: Array,
+        check: str,
+        *,
+        expected: str,
+        got: Callable[[np.ndarray], str],
+        cause: Callable[[np.ndarray], str],
+    ) -> None:
+        if np.all(ok):
+            return
+        ok = np.broadcast_to(ok, self.values.shape[:-2])
+        bad = np.argwhere(~ok)
+        index = tuple(bad[0].tolist())
+        value = self.values[index].astype(np.float64)
+        where = f"{self.name}[{', '.join(map(str, index))}]" if index else self.name
+        others = f" {len(bad)} of {ok.size} cameras fail this check." if ok.size > 1 else ""
+        raise CameraError(
+            f"{where}: {check}: expected {expected}, got {got(value)}. "
+            f"Likely cause: {cause(value)}.{others}"
+        )
 
 
-def _require(
-    name: str,
-    ok: np.ndarray,
-    values: np.ndarray,
-    check: str,
-    describe: Callable[[np.ndarray], str],
-) -> None:
-    ok = np.broadcast_to(ok, values.shape[:-2])
-    if ok.all():
-        return
-    bad = np.argwhere(~ok)
-    index = tuple(int(i) for i in bad[0])
-    where = f"{name}[{', '.join(map(str, index))}]" if index else name
-    others = f" ({len(bad)} of {ok.size} cameras fail this check.)" if ok.size > 1 else ""
-    raise CameraError(f"{where}: {check}; {describe(values[index])}{others}")
+def _focal_lengths(K: np.ndarray) -> str:
+    return f"fx {K[0, 0]:g}, fy {K[1, 1]:g}"
+
+
+def _column_lengths(pose: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(pose[:3, :3], axis=0)
+
+
+def _rotation_error(pose: np.ndarray) -> float:
+    R = pose[:3, :3]
+    return float(np.abs(R.T @ R - _EYE).max())
 
 
 def _show(a: np.ndarray) -> str:

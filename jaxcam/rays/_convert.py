@@ -65,7 +65,7 @@ def from_mujoco(cam_xpos: Array, cam_xmat: Array) -> Array:
 
 
 def to_mujoco(world_from_camera: Array) -> tuple[Array, Array]:
-    """`cam_xpos` `[..., 3]` and `cam_xmat` `[..., 3, 3]` of a pose; `MjData` wants the latter flat."""
+    """`cam_xpos` `[..., 3]` and `cam_xmat` `[..., 3, 3]` of a pose (`MjData`: `[..., 9]`)."""
     pose = opengl_from_opencv(world_from_camera)
     return pose[..., :3, 3], pose[..., :3, :3]
 

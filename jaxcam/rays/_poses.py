@@ -1,6 +1,7 @@
 """Where cameras are put: pose sampling, the paper's camera schedule, and pose noise."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 from types import MappingProxyType
 
 import jax
@@ -45,7 +46,7 @@ class PoseRanges:
                 raise ConfigError(f"pose ranges: interval ({low:g}, {high:g}) is empty.")
         if not self.azimuth:
             raise ConfigError("pose ranges: at least one azimuth interval is needed.")
-        if any(a[1] > b[0] for a, b in zip(self.azimuth, self.azimuth[1:], strict=False)):
+        if any(a[1] > b[0] for a, b in pairwise(self.azimuth)):
             raise ConfigError("pose ranges: azimuth intervals must be sorted and not overlap.")
         if self.distance[0] <= 0:
             raise ConfigError(f"pose ranges: distance must be positive, got {self.distance[0]:g}.")
@@ -59,11 +60,11 @@ def _degrees(*pairs: Interval) -> tuple[Interval, ...]:
 
 _UP = _degrees((30, 60))[0]
 _HALF = _degrees((-90, 90))
-_CUBE = ((-0.15, 0.15),) * 3
+_CUBE = ((-0.15, 0.15), (-0.15, 0.15), (-0.15, 0.15))
 _TABLE = (0.0, 0.0, 0.8)
 _PUSH = ((-0.2, 0.0), (-0.1, 0.1), (-0.2, 0.0))
 _LIFT = ((-0.2, 0.0), (-0.1, 0.1), (-0.1, 0.1))
-_POINT = ((0.0, 0.0),) * 3
+_POINT = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
 _SEPARATED_TRAIN = _degrees((-120, -90), (-60, -30), (0, 30), (60, 90))
 _SEPARATED_TEST = _degrees((-90, -60), (-30, 0), (30, 60), (90, 120))
 _ROLL = _degrees((0, 80), (100, 180))
@@ -153,7 +154,7 @@ def _draw_azimuth(rng: np.random.RandomState, ranges: PoseRanges) -> float:
         return rng.uniform(*intervals[rng.randint(len(intervals))])
     start = intervals[0][0]
     azimuth = rng.uniform(start, start + sum(high - low for low, high in intervals))
-    for (_, end), (begin, _) in zip(intervals, intervals[1:], strict=False):
+    for (_, end), (begin, _) in pairwise(intervals):
         if azimuth >= end:
             azimuth += begin - end
     return azimuth
