@@ -1,0 +1,282 @@
+"""ACT: action chunks from tokens of images and cameras, optionally with a variational latent."""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import nnx
+
+from jaxcam.errors import ConfigError, closest
+from jaxcam.models.fusion import Vision, VisionConfig, camera_poses
+from jaxcam.models.layers import dropout, linear, split_key
+from jaxcam.models.policy import Key, Obs, PolicySpec
+from jaxcam.models.transformer import Decoder, Encoder, sine_table
+
+
+@dataclass(frozen=True)
+class ActConfig(VisionConfig):
+    """Settings of ACT; the defaults are the paper's, as the authors trained it."""
+
+    chunk: int = 30
+    """Actions predicted, and executed, at a time."""
+    head: str = "transformer"
+    """From tokens to actions: the paper's transformer, or an mlp over all tokens at once."""
+    width: int = 512
+    """Width of the transformer, or of the perceptron's hidden layers."""
+    heads: int = 8
+    """Attention heads."""
+    hidden: int = 2048
+    """Hidden width of the transformer's feed-forward layers."""
+    layers: int = 4
+    """Encoder layers of the transformer, or hidden layers of the perceptron."""
+    pose_tokens: int = 2
+    """Least number of pose tokens; they are fed with zeros unless the conditioning is token."""
+    latent_dim: int = 32
+    """Size of the variational latent; 0 builds no variational encoder."""
+    latent_layers: int = 4
+    """Layers of the variational encoder."""
+    kl_weight: float = 1.0
+    """Weight of the latent's KL divergence in the loss."""
+    dropout: float = 0.1
+    """Dropout rate in training."""
+    drop_proprio: bool = True
+    """Whether proprioception is replaced by zeros (before normalisation), as in the paper."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that cannot work."""
+        super().__post_init__()
+        if self.head not in (known := ("transformer", "mlp")):
+            raise ConfigError(f"Unknown head '{self.head}'{closest(str(self.head), known)}.")
+        if self.width % self.heads:
+            raise ConfigError(f"width {self.width} is not a multiple of heads {self.heads}.")
+
+
+ACT_PRESETS: dict[str, ActConfig] = {
+    "paper": ActConfig(ray_convention="authors"),
+    "laptop": ActConfig(
+        conditioning="keypoints",
+        twin_of="keypoints",
+        encoder="small",
+        encoder_width=32,
+        encoder_depth=2,
+        image_scaling="symmetric",
+        pool="keypoints",
+        chunk=16,
+        head="mlp",
+        width=256,
+        layers=2,
+        hidden=512,
+        pose_tokens=0,
+        latent_dim=0,
+        dropout=0.0,
+    ),
+}
+
+
+def with_conditioning(config: ActConfig, conditioning: str) -> ActConfig:
+    """The same policy, conditioned in another way.
+
+    ``none`` gives the image-only twin of the conditioning that `config` has.
+    """
+    if conditioning == "none":
+        return replace(config, conditioning="none", twin_of=config.network)
+    return replace(config, conditioning=conditioning, twin_of=conditioning)
+
+
+class LatentEncoder(nnx.Module):
+    """The variational encoder: from proprioception and the true actions to a Gaussian."""
+
+    def __init__(self, config: ActConfig, spec: PolicySpec, *, rngs: nnx.Rngs):
+        width, dtype = config.width, config.dtype
+        self.proprio = linear(spec.proprio_dim, width, rngs=rngs, dtype=dtype)
+        self.action = linear(spec.action_dim, width, rngs=rngs, dtype=dtype)
+        self.encoder = Encoder(
+            config.latent_layers,
+            width,
+            config.heads,
+            config.hidden,
+            config.dropout,
+            xavier=False,
+            rngs=rngs,
+            dtype=dtype,
+        )
+        self.out = linear(width, 2 * config.latent_dim, rngs=rngs, dtype=dtype)
+        self.table = sine_table(2 + spec.chunk, width)
+
+    def __call__(
+        self, proprio: jax.Array, action: jax.Array, is_pad: jax.Array, *, key: Key
+    ) -> tuple[jax.Array, jax.Array]:
+        """Mean and log variance, [B, latent] each; padded actions are not looked at."""
+        proprio, action = self.proprio(proprio)[:, None], self.action(action)
+        x = jnp.concatenate([jnp.zeros_like(proprio), proprio, action], 1)
+        keep = jnp.pad(~is_pad, ((0, 0), (2, 0)), constant_values=True)
+        x = self.encoder(x, jnp.asarray(self.table, x.dtype), key=key, keep=keep)
+        mean, log_variance = jnp.split(self.out(x[:, 0]).astype(jnp.float32), 2, -1)
+        return mean, log_variance
+
+
+class TransformerHead(nnx.Module):
+    """The paper's: tokens [image, pose, proprioception, latent] to a chunk of actions."""
+
+    def __init__(self, config: ActConfig, spec: PolicySpec, vision: Vision, *, rngs: nnx.Rngs):
+        width, dtype = config.width, config.dtype
+        poses = max(config.pose_tokens, spec.views * (config.network == "token"))
+        self.config = config
+        self.poses = poses
+        # A grid of the transformer's own width goes in as it is.
+        projects = vision.width != width
+        self.project = linear(vision.width, width, rngs=rngs, dtype=dtype) if projects else None
+        self.pose = linear(16, width, rngs=rngs, dtype=dtype) if poses else None
+        self.proprio = linear(spec.proprio_dim, width, rngs=rngs, dtype=dtype)
+        latent = config.latent_dim
+        self.latent = linear(latent, width, rngs=rngs, dtype=dtype) if latent else None
+
+        def positions(count: int) -> nnx.Param:
+            return nnx.Param(jax.random.normal(rngs.params(), (count, width)))
+
+        self.image_position = positions(spec.views * vision.tokens)
+        self.position = positions(poses + 1 + (latent > 0))
+        self.query = positions(spec.chunk)
+        self.encoder = Encoder(
+            config.layers,
+            width,
+            config.heads,
+            config.hidden,
+            config.dropout,
+            xavier=True,
+            rngs=rngs,
+            dtype=dtype,
+        )
+        self.decoder = Decoder(
+            width, config.heads, config.hidden, config.dropout, rngs=rngs, dtype=dtype
+        )
+        self.action = linear(width, spec.action_dim, rngs=rngs, dtype=dtype)
+        # In the reference models, and trained by nothing: the loss does not look at it.
+        self.is_pad = linear(width, 1, rngs=rngs, dtype=dtype)
+
+    def __call__(
+        self, tokens: jax.Array, obs: Obs, proprio: jax.Array, latent: jax.Array, *, key: Key
+    ) -> jax.Array:
+        """Map tokens [B, V, N, F] and latent [B, L] to normalised actions [B, T, A]."""
+        dtype = self.config.dtype
+        batch = tokens.shape[0]
+        tokens = tokens.reshape(batch, -1, tokens.shape[-1])
+        parts = [tokens if self.project is None else self.project(tokens)]
+        if self.pose is not None:
+            parts.append(self.pose(self._pose_vectors(obs, batch)))
+        parts.append(self.proprio(proprio)[:, None])
+        if self.latent is not None:
+            parts.append(self.latent(latent)[:, None])
+        x = jnp.concatenate([p.astype(dtype) for p in parts], 1)
+        position = jnp.concatenate([self.image_position[...], self.position[...]]).astype(dtype)
+        encoder_key, decoder_key = split_key(key, 2)
+        memory = self.encoder(x, position, key=encoder_key)
+        y = self.decoder(self.query[...].astype(dtype), memory, position, key=decoder_key)
+        return self.action(y)
+
+    def _pose_vectors(self, obs: Obs, batch: int) -> jax.Array:
+        """Flattened poses [B, pose tokens, 16]; a token without a camera gets zeros."""
+        if self.config.network != "token":
+            return jnp.zeros((batch, self.poses, 16))
+        poses = camera_poses(self.config, obs).reshape(batch, -1, 16)
+        return jnp.pad(poses, ((0, 0), (0, self.poses - poses.shape[1]), (0, 0)))
+
+
+class MlpHead(nnx.Module):
+    """All tokens side by side, through a perceptron, to a chunk of actions."""
+
+    def __init__(self, config: ActConfig, spec: PolicySpec, vision: Vision, *, rngs: nnx.Rngs):
+        dtype = config.dtype
+        self.config = config
+        self.chunk = spec.chunk
+        token, pose_width = config.network == "token", config.encoder_width
+        self.pose = linear(16, pose_width, rngs=rngs, dtype=dtype) if token else None
+        d_in = spec.views * vision.tokens * vision.width + spec.proprio_dim + config.latent_dim
+        d_in += spec.views * pose_width * token
+        widths = (d_in, *(config.width,) * config.layers)
+        self.layers = nnx.List(linear(a, b, rngs=rngs, dtype=dtype) for a, b in pairwise(widths))
+        self.action = linear(config.width, spec.chunk * spec.action_dim, rngs=rngs, dtype=dtype)
+
+    def __call__(
+        self, tokens: jax.Array, obs: Obs, proprio: jax.Array, latent: jax.Array, *, key: Key
+    ) -> jax.Array:
+        """Map tokens [B, V, N, F] and latent [B, L] to normalised actions [B, T, A]."""
+        batch = tokens.shape[0]
+        parts = [tokens.reshape(batch, -1), proprio, latent]
+        if self.pose is not None:
+            poses = camera_poses(self.config, obs)
+            parts.append(self.pose(poses.reshape(batch, -1, 16)).reshape(batch, -1))
+        x = jnp.concatenate([p.astype(self.config.dtype) for p in parts], -1)
+        for layer, layer_key in zip(self.layers, split_key(key, len(self.layers)), strict=True):
+            x = dropout(jax.nn.relu(layer(x)), self.config.dropout, layer_key)
+        return self.action(x).reshape(batch, self.chunk, -1)
+
+
+class Act(nnx.Module):
+    """The whole network, from raw observations to normalised actions."""
+
+    def __init__(self, config: ActConfig, spec: PolicySpec, *, rngs: nnx.Rngs):
+        self.config = config
+        self.vision = Vision(config, spec, rngs=rngs)
+        head = TransformerHead if config.head == "transformer" else MlpHead
+        self.head = head(config, spec, self.vision, rngs=rngs)
+        self.latent = LatentEncoder(config, spec, rngs=rngs) if config.latent_dim else None
+
+    def __call__(
+        self,
+        obs: Obs,
+        proprio: jax.Array,
+        action: jax.Array | None = None,
+        is_pad: jax.Array | None = None,
+        *,
+        key: Key = None,
+    ) -> tuple[jax.Array, jax.Array]:
+        """Predict a chunk.
+
+        Args:
+            obs: Images and cameras.
+            proprio: Normalised proprioception [B, P].
+            action: Normalised true actions [B, T, A]; without them the latent is zero.
+            is_pad: Where those are padding, [B, T].
+            key: For dropout and the latent's noise; none of either without it.
+
+        Returns:
+            Normalised actions [B, T, A] and the latent's KL divergence, a scalar.
+        """
+        head_key, latent_key, noise_key = split_key(key, 3)
+        latent = jnp.zeros((proprio.shape[0], self.config.latent_dim))
+        kl = jnp.zeros(())
+        if self.latent is not None and action is not None and is_pad is not None:
+            mean, log_variance = self.latent(proprio, action, is_pad, key=latent_key)
+            latent = mean
+            if noise_key is not None:
+                noise = jax.random.normal(noise_key, mean.shape)
+                latent = mean + jnp.exp(log_variance / 2) * noise
+            kl = -0.5 * (1 + log_variance - mean**2 - jnp.exp(log_variance)).sum(-1).mean()
+        out = self.head(self.vision(obs), obs, proprio, latent, key=head_key)
+        return out.astype(jnp.float32), kl
+
+
+def l1_loss(predicted: jax.Array, target: jax.Array, is_pad: jax.Array) -> jax.Array:
+    """Mean absolute error; padded steps count as zeros, in the mean too, as in the paper."""
+    return jnp.mean(jnp.abs(predicted - target) * ~is_pad[..., None])
+
+
+def action_scale(std: np.ndarray) -> np.ndarray:
+    """Deviations to divide actions by: at least 1e-4, the authors' floor.
+
+    A floor, and not 1, for a dimension that never varies: what the network gets wrong about it
+    then shrinks to nothing in raw units instead of drifting over an episode.
+    """
+    return np.maximum(np.asarray(std, np.float32), 1e-4)
+
+
+def proprio_scale(std: np.ndarray) -> np.ndarray:
+    """Deviations to divide proprioception by: 1 where a dimension never varies.
+
+    Here a floor would do harm, since it blows up the first value that does differ.
+    """
+    std = np.asarray(std, np.float32)
+    return np.where(std < 1e-3, 1.0, std).astype(np.float32)

@@ -1,0 +1,140 @@
+"""Image encoders: the paper's ResNet-18 and ray encoder, and a small one for a laptop."""
+
+import math
+from itertools import pairwise
+
+import jax
+import jax.numpy as jnp
+from flax import nnx
+from jax.typing import DTypeLike
+
+from jaxcam.models.layers import HE_FAN_OUT, TORCH, conv, layer_norm, linear
+
+FROZEN_SCALE = 1 / math.sqrt(1 + 1e-5)
+"""A frozen batch norm whose statistics were never set: mean 0, variance 1, no learned affine."""
+
+
+def max_pool(x: jax.Array) -> jax.Array:
+    """3×3 maximum with stride 2, padded by -inf."""
+    pad = ((1, 1), (1, 1))
+    return nnx.max_pool(x, (3, 3), strides=(2, 2), padding=pad)
+
+
+class BasicBlock(nnx.Module):
+    """Two 3×3 convolutions and a shortcut."""
+
+    def __init__(self, d_in: int, d_out: int, stride: int, *, rngs: nnx.Rngs, dtype: DTypeLike):
+        def layer(d_in: int, size: int, stride: int) -> nnx.Conv:
+            return conv(d_in, d_out, size, stride, rngs=rngs, dtype=dtype, kernel_init=HE_FAN_OUT)
+
+        self.conv1 = layer(d_in, 3, stride)
+        self.conv2 = layer(d_out, 3, 1)
+        self.shortcut = None if stride == 1 and d_in == d_out else layer(d_in, 1, stride)
+
+    def __call__(self, x: jax.Array) -> jax.Array:
+        """Map [N, H, W, d_in] to [N, H/stride, W/stride, d_out]."""
+        y = jax.nn.relu(self.conv1(x) * FROZEN_SCALE)
+        y = self.conv2(y) * FROZEN_SCALE
+        if self.shortcut is not None:
+            x = self.shortcut(x) * FROZEN_SCALE
+        return jax.nn.relu(x + y)
+
+
+class ResNet18(nnx.Module):
+    """ResNet-18 up to its last feature map: stride 32, 512 channels, frozen norms.
+
+    With more than three input channels the first convolution starts from PyTorch's default, as in
+    the paper's early fusion, instead of ResNet's own.
+    """
+
+    stride = 32
+    channels = 512
+
+    def __init__(self, d_in: int, *, rngs: nnx.Rngs, dtype: DTypeLike):
+        stem_init = HE_FAN_OUT if d_in == 3 else TORCH
+        self.stem = conv(d_in, 64, 7, 2, rngs=rngs, dtype=dtype, kernel_init=stem_init)
+        self.blocks = nnx.List(
+            BasicBlock(d_from, d_to, stride, rngs=rngs, dtype=dtype)
+            for d_first, d_to, first_stride in (
+                (64, 64, 1),
+                (64, 128, 2),
+                (128, 256, 2),
+                (256, 512, 2),
+            )
+            for d_from, stride in ((d_first, first_stride), (d_to, 1))
+        )
+
+    def __call__(self, x: jax.Array, rays: jax.Array | None = None) -> jax.Array:
+        """Map images [N, H, W, 3], joined by a ray-map of their size, to [N, H/32, W/32, 512]."""
+        if rays is not None:
+            x = jnp.concatenate([x, rays], -1)
+        x = max_pool(jax.nn.relu(self.stem(x) * FROZEN_SCALE))
+        for block in self.blocks:
+            x = block(x)
+        return x
+
+
+class RayEncoder(nnx.Module):
+    """The paper's ray-map encoder: five strided convolutions to the ResNet's grid and width."""
+
+    def __init__(self, *, rngs: nnx.Rngs, dtype: DTypeLike):
+        widths = (6, 64, 128, 256, 512, 512)
+        self.convs = nnx.List(
+            conv(d_in, d_out, 7 if d_in == 6 else 3, 2, rngs=rngs, dtype=dtype)
+            for d_in, d_out in pairwise(widths)
+        )
+
+    def __call__(self, x: jax.Array) -> jax.Array:
+        """Map [N, H, W, 6] to [N, H/32, W/32, 512]."""
+        for layer in self.convs:
+            x = jax.nn.relu(layer(x) * FROZEN_SCALE)
+        return x
+
+
+def space_to_depth(x: jax.Array, size: int) -> jax.Array:
+    """Fold ``size`` × ``size`` neighbourhoods of [N, H, W, C] into channels."""
+    n, h, w, c = x.shape
+    x = x.reshape(n, h // size, size, w // size, size, c).transpose(0, 1, 3, 2, 4, 5)
+    return x.reshape(n, h // size, w // size, size * size * c)
+
+
+class SmallEncoder(nnx.Module):
+    """A stride-4 encoder that a CPU trains quickly.
+
+    XLA's CPU gradients of strided convolutions are several times slower than its matrix products,
+    those of stride-1 convolutions are not: so pixels are folded into channels once, and everything
+    after that has stride 1.
+    """
+
+    stride = 4
+
+    def __init__(self, d_rays: int, width: int, depth: int, *, rngs: nnx.Rngs, dtype: DTypeLike):
+        self.stem = conv(3 * self.stride**2 + d_rays, width, 3, rngs=rngs, dtype=dtype, bias=True)
+        self.norms = nnx.List(layer_norm(width, rngs=rngs, dtype=dtype) for _ in range(depth))
+        self.convs = nnx.List(
+            conv(width, width, 3, rngs=rngs, dtype=dtype, bias=True) for _ in range(depth)
+        )
+        self.norm = layer_norm(width, rngs=rngs, dtype=dtype)
+
+    def __call__(self, x: jax.Array, rays: jax.Array | None = None) -> jax.Array:
+        """Map images [N, H, W, 3], joined by a ray-map [N, H/4, W/4, 6], to [N, H/4, W/4, width]."""
+        x = space_to_depth(x, self.stride)
+        if rays is not None:
+            x = jnp.concatenate([x, rays], -1)
+        x = self.stem(x)
+        for norm, layer in zip(self.norms, self.convs, strict=True):
+            x = x + layer(jax.nn.relu(norm(x)))
+        return jax.nn.relu(self.norm(x))
+
+
+class SmallRayEncoder(nnx.Module):
+    """A perceptron applied to every ray of the grid: ray-maps are too smooth to need a window."""
+
+    def __init__(self, width: int, *, rngs: nnx.Rngs, dtype: DTypeLike):
+        self.layers = nnx.List(linear(d_in, width, rngs=rngs, dtype=dtype) for d_in in (6, width))
+
+    def __call__(self, x: jax.Array) -> jax.Array:
+        """Map [N, h, w, 6] to [N, h, w, width]."""
+        for layer in self.layers:
+            x = jax.nn.relu(layer(x))
+        return x

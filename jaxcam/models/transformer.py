@@ -1,0 +1,217 @@
+"""Transformer layers in the pre-norm, DETR-style form of the paper's ACT.
+
+Positions are added to queries and keys after the layer norm, never to values.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import nnx
+from jax.nn.initializers import zeros
+from jax.typing import DTypeLike
+
+from jaxcam.models.layers import (
+    PACKED_XAVIER,
+    TORCH,
+    XAVIER,
+    dropout,
+    layer_norm,
+    linear,
+    split_key,
+)
+from jaxcam.models.policy import Key
+
+
+def sine_table(length: int, width: int) -> np.ndarray:
+    """Sine positions [length, width]: even channels sine, odd channels cosine."""
+    channel = np.arange(width)
+    angle = np.arange(length)[:, None] / 10000 ** (2 * (channel // 2) / width)
+    return np.where(channel % 2 == 0, np.sin(angle), np.cos(angle)).astype(np.float32)
+
+
+class Attention(nnx.Module):
+    """Multi-head attention with dropout on the attention weights."""
+
+    def __init__(
+        self,
+        width: int,
+        heads: int,
+        dropout_rate: float,
+        *,
+        xavier: bool,
+        rngs: nnx.Rngs,
+        dtype: DTypeLike,
+    ):
+        def packed() -> nnx.Linear:
+            return linear(
+                width, width, rngs=rngs, dtype=dtype, kernel_init=PACKED_XAVIER, bias_init=zeros
+            )
+
+        self.query, self.key, self.value = packed(), packed(), packed()
+        self.out = linear(
+            width,
+            width,
+            rngs=rngs,
+            dtype=dtype,
+            kernel_init=XAVIER if xavier else TORCH,
+            bias_init=zeros,
+        )
+        self.heads = heads
+        self.dropout_rate = dropout_rate
+
+    def __call__(
+        self, q: jax.Array, k: jax.Array, v: jax.Array, *, key: Key, keep: jax.Array | None = None
+    ) -> jax.Array:
+        """Attend from ``q`` [B, N, D] to ``k``, ``v`` [B, M, D]; ``keep`` [B, M] hides the rest."""
+        q, k, v = (
+            layer(x).reshape(*x.shape[:-1], self.heads, -1)
+            for layer, x in ((self.query, q), (self.key, k), (self.value, v))
+        )
+        scores = jnp.einsum("bnhd,bmhd->bhnm", q, k, preferred_element_type=jnp.float32)
+        scores = scores / np.sqrt(q.shape[-1])
+        if keep is not None:
+            scores = jnp.where(keep[:, None, None], scores, jnp.finfo(scores.dtype).min)
+        weights = dropout(jax.nn.softmax(scores), self.dropout_rate, key).astype(v.dtype)
+        mixed = jnp.einsum("bhnm,bmhd->bnhd", weights, v)
+        return self.out(mixed.reshape(*mixed.shape[:-2], -1))
+
+
+class FeedForward(nnx.Module):
+    """The two-layer ReLU perceptron of a transformer layer."""
+
+    def __init__(
+        self,
+        width: int,
+        hidden: int,
+        dropout_rate: float,
+        *,
+        xavier: bool,
+        rngs: nnx.Rngs,
+        dtype: DTypeLike,
+    ):
+        init = XAVIER if xavier else TORCH
+        self.up = linear(width, hidden, rngs=rngs, dtype=dtype, kernel_init=init)
+        self.down = linear(hidden, width, rngs=rngs, dtype=dtype, kernel_init=init)
+        self.dropout_rate = dropout_rate
+
+    def __call__(self, x: jax.Array, *, key: Key) -> jax.Array:
+        """Map [..., width] to [..., width]."""
+        return self.down(dropout(jax.nn.relu(self.up(x)), self.dropout_rate, key))
+
+
+class EncoderLayer(nnx.Module):
+    """Self-attention and feed-forward, each on a normalised copy and added back."""
+
+    def __init__(
+        self,
+        width: int,
+        heads: int,
+        hidden: int,
+        dropout_rate: float,
+        *,
+        xavier: bool,
+        rngs: nnx.Rngs,
+        dtype: DTypeLike,
+    ):
+        self.norm1 = layer_norm(width, rngs=rngs, dtype=dtype)
+        self.attention = Attention(
+            width, heads, dropout_rate, xavier=xavier, rngs=rngs, dtype=dtype
+        )
+        self.norm2 = layer_norm(width, rngs=rngs, dtype=dtype)
+        self.feed_forward = FeedForward(
+            width, hidden, dropout_rate, xavier=xavier, rngs=rngs, dtype=dtype
+        )
+        self.dropout_rate = dropout_rate
+
+    def __call__(
+        self, x: jax.Array, position: jax.Array, *, key: Key, keep: jax.Array | None = None
+    ) -> jax.Array:
+        """Map tokens [B, N, D] with positions that broadcast to them."""
+        keys = split_key(key, 4)
+        y = self.norm1(x)
+        q = y + position
+        y = self.attention(q, q, y, key=keys[0], keep=keep)
+        x = x + dropout(y, self.dropout_rate, keys[1])
+        y = self.feed_forward(self.norm2(x), key=keys[2])
+        return x + dropout(y, self.dropout_rate, keys[3])
+
+
+class Encoder(nnx.Module):
+    """A stack of encoder layers and a final layer norm.
+
+    ``xavier`` starts every matrix with Xavier's uniform, as the paper's main transformer does; its
+    variational encoder keeps PyTorch's defaults.
+    """
+
+    def __init__(
+        self,
+        layers: int,
+        width: int,
+        heads: int,
+        hidden: int,
+        dropout_rate: float,
+        *,
+        xavier: bool,
+        rngs: nnx.Rngs,
+        dtype: DTypeLike,
+    ):
+        self.layers = nnx.List(
+            EncoderLayer(width, heads, hidden, dropout_rate, xavier=xavier, rngs=rngs, dtype=dtype)
+            for _ in range(layers)
+        )
+        self.norm = layer_norm(width, rngs=rngs, dtype=dtype)
+
+    def __call__(
+        self, x: jax.Array, position: jax.Array, *, key: Key, keep: jax.Array | None = None
+    ) -> jax.Array:
+        """Map tokens [B, N, D]; ``keep`` [B, N] is False at tokens nobody may attend to."""
+        for layer, layer_key in zip(self.layers, split_key(key, len(self.layers)), strict=True):
+            x = layer(x, position, key=layer_key, keep=keep)
+        return self.norm(x)
+
+
+class Decoder(nnx.Module):
+    """One decoder layer and its final norm, started from zero tokens.
+
+    The reference models build seven layers but read the output of the first, so one is enough.
+    """
+
+    def __init__(
+        self,
+        width: int,
+        heads: int,
+        hidden: int,
+        dropout_rate: float,
+        *,
+        rngs: nnx.Rngs,
+        dtype: DTypeLike,
+    ):
+        def attention() -> Attention:
+            return Attention(width, heads, dropout_rate, xavier=True, rngs=rngs, dtype=dtype)
+
+        self.norm1 = layer_norm(width, rngs=rngs, dtype=dtype)
+        self.self_attention = attention()
+        self.norm2 = layer_norm(width, rngs=rngs, dtype=dtype)
+        self.cross_attention = attention()
+        self.norm3 = layer_norm(width, rngs=rngs, dtype=dtype)
+        self.feed_forward = FeedForward(
+            width, hidden, dropout_rate, xavier=True, rngs=rngs, dtype=dtype
+        )
+        self.norm = layer_norm(width, rngs=rngs, dtype=dtype)
+        self.dropout_rate = dropout_rate
+
+    def __call__(
+        self, query: jax.Array, memory: jax.Array, position: jax.Array, *, key: Key
+    ) -> jax.Array:
+        """Read ``memory`` [B, M, D] at the learned ``query`` positions [T, D]."""
+        keys = split_key(key, 6)
+        rate = self.dropout_rate
+        x = jnp.zeros((memory.shape[0], *query.shape), memory.dtype)
+        y = self.norm1(x)
+        q = y + query
+        x = x + dropout(self.self_attention(q, q, y, key=keys[0]), rate, keys[1])
+        y = self.norm2(x) + query
+        y = self.cross_attention(y, memory + position, memory, key=keys[2])
+        x = x + dropout(y, rate, keys[3])
+        y = self.feed_forward(self.norm3(x), key=keys[4])
+        return self.norm(x + dropout(y, rate, keys[5]))
