@@ -75,6 +75,10 @@ def _one_of(field: str) -> Any:
     return tyro.conf.arg(metavar="{" + ",".join(NAMES[field]) + "}")
 
 
+def _default(text: str) -> Any:
+    return tyro.conf.arg(help_behavior_hint=f"(default: {text})")
+
+
 @dataclass(frozen=True)
 class TrainConfig:
     """Train a policy, evaluate it on camera poses it never saw, and write a report.
@@ -137,8 +141,8 @@ class TrainConfig:
 
     data_dir: str = "data"
     """Folder of the datasets."""
-    run_dir: str | None = None
-    """Folder of the run; by default runs/ and the settings that name it."""
+    run_dir: Annotated[FromPreset[str], _default("runs/TASK-SCENE-POLICY-...-SEED")] = PRESET
+    """Folder of the run."""
     log_every: FromPreset[int] = PRESET
     """Updates between rows of metrics."""
     eval_every: FromPreset[int] = PRESET
@@ -168,8 +172,8 @@ class EvaluateConfig:
 
     run: tyro.conf.Positional[str]
     """Folder of the run."""
-    step: int | None = None
-    """Checkpoint; by default the newest one that is whole."""
+    step: Annotated[int | None, tyro.conf.arg(metavar="INT"), _default("newest whole one")] = None
+    """Checkpoint to evaluate."""
     pairs: int = 50
     """(Initial state, camera pose) pairs."""
     split: Annotated[str, _one_of("split")] = "test"

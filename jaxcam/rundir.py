@@ -60,7 +60,7 @@ class RunDir:
             ConfigError: The folder cannot be written, has no space, is in use, or is of a run with
                 another configuration. It is then left as it was.
         """
-        path = Path(config.run_dir or ".").absolute()
+        path = Path(config.run_dir).absolute()
         _check_writable(path, min_free)
         run = cls(path, _lock(path / "lock"))
         try:

@@ -20,6 +20,7 @@ import jaxcam.checkpoint
 from jaxcam.checkpoint import Checkpoints, checkpoint_steps, load_policy_inputs, make_side
 from jaxcam.config import TrainConfig, resolve
 from jaxcam.errors import CheckpointError
+from jaxcam.manifest import DamagedError, flatten, read_all
 from jaxcam.state import init_state, make_train_chunk
 
 CONFIG = resolve(TrainConfig(steps=6), accelerator=False)
@@ -228,23 +229,24 @@ def test_nothing_whole_is_an_error_that_lists_why(run):
     assert checkpoint_steps(run) == [1, 2, 3]
 
 
-def test_twenty_flipped_bytes_are_never_restored_silently(run):
-    files = [p for p in (run / "checkpoints" / "3").rglob("*") if p.is_file()]
+def test_thirty_flipped_bytes_are_never_restored_silently(run):
+    files = [data_files(run, 3, item)[-1] for item in ("params", "ema", "train")]
     rng = np.random.default_rng(0)
-    good = train(fresh(), 3)
-    for _ in range(20):
-        file = files[rng.integers(len(files))]
+    good = flatten(train(fresh(), 3))
+    noticed = 0
+    for _ in range(30):
+        file = files[rng.integers(3)]
         before = file.read_bytes()
         flip_byte(file, rng.random())
         try:
-            # Flips where orbax keeps names and hints may do no harm; then all must be equal.
-            manifest, leaves = jaxcam.checkpoint.read_all(run / "checkpoints" / "3")
-            for name, leaf in jaxcam.checkpoint.flatten(good).items():
+            _, leaves = read_all(run / "checkpoints" / "3")
+        except DamagedError:
+            noticed += 1
+        else:  # Orbax did not use that byte; then nothing may have changed.
+            for name, leaf in good.items():
                 np.testing.assert_array_equal(leaves[name], leaf)
-            assert manifest["side"]["seed"] == 0
-        except jaxcam.checkpoint.DamagedError:
-            pass
         file.write_bytes(before)
+    assert noticed > 20
 
 
 @pytest.mark.parametrize(
@@ -345,7 +347,6 @@ def test_kill_while_saving(tmp_path):
                 checkpoints.save(state, SIDE)
     """)
     folder = tmp_path / "checkpoints"
-    unfinished = 0
     for delay in (0.01, 0.04):
         command = [sys.executable, "-c", script, str(Path(__file__).parent), str(folder)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
@@ -354,7 +355,6 @@ def test_kill_while_saving(tmp_path):
             with pytest.raises(subprocess.TimeoutExpired):
                 process.wait(delay)
             process.send_signal(signal.SIGKILL)
-        unfinished += len(list(folder.glob("*tmp*")))
         with Checkpoints(folder) as checkpoints:
             big = dataclasses.replace(fresh(), ema={"big": jnp.ones((1000, 1000))})
             state = checkpoints.restore_latest(jax.eval_shape(lambda big=big: big)).state
