@@ -342,5 +342,8 @@ def _fill(where: str, template: TrainState, leaves: Mapping[str, np.ndarray]) ->
     return jax.tree.unflatten(structure, [jnp.array(leaves[name]) for name in wanted])
 
 
-def _with_tuples(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+def _with_tuples(value: Any) -> Any:
+    """Settings as their dataclasses have them: JSON has no tuples, settings have no lists."""
+    if isinstance(value, dict):
+        return {k: _with_tuples(v) for k, v in value.items()}
+    return tuple(map(_with_tuples, value)) if isinstance(value, list) else value

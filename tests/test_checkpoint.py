@@ -38,7 +38,7 @@ class Settings:
     """Stands for a policy's settings and its sizes."""
 
     width: int = 4
-    sizes: tuple[int, ...] = (1, 2)
+    sizes: tuple[tuple[int, ...], ...] = ((1, 2), (3,))
 
 
 def init(key):

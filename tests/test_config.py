@@ -242,3 +242,12 @@ def test_help_is_fast_and_imports_no_jax():
 def test_every_preset_is_of_known_names():
     assert {policy for policy, _ in PRESETS} == set(NAMES["policy"])
     assert {preset for _, preset in PRESETS} | {"auto"} == set(NAMES["preset"])
+
+
+def test_conditionings_are_those_of_the_policies():
+    from jaxcam.models import ACT_PRESETS
+    from jaxcam.models.fusion import CONDITIONINGS
+
+    assert NAMES["conditioning"] == CONDITIONINGS
+    assert {f"act-{name}" for name in ACT_PRESETS} <= {"-".join(key) for key in PRESETS}
+    assert with_overrides(ACT_PRESETS["laptop"], ["width=64"]).width == 64
