@@ -150,7 +150,7 @@ def _visual_model(xml: str, full: mujoco.MjModel, name: SceneName) -> mujoco.MjM
         room.add_geom(
             name=f"room_{geom.name}",
             type=geom.type,
-            size=geom.size,
+            size=geom.size if geom.type != mujoco.mjtGeom.mjGEOM_PLANE else [0, 0, 1],  # endless
             pos=geom.pos,
             quat=geom.quat,
             material=geom.material,
@@ -159,7 +159,7 @@ def _visual_model(xml: str, full: mujoco.MjModel, name: SceneName) -> mujoco.MjM
             conaffinity=0,
         )
         spec.delete(geom)
-    _light(spec)
+    _light(room)
     # The camera's pose and intrinsics come from arrays; a sensor size switches MuJoCo to intrinsics.
     spec.worldbody.add_camera(name="camera", sensor_size=[1, 1], focal_length=[1, 1])
     _drop_unused_assets(spec)
@@ -203,6 +203,9 @@ def _paint(spec: mujoco.MjSpec, name: SceneName) -> None:
         material = spec.material(material_name)
         material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = ""
         material.rgba = rgba
+    spec.visual.headlight.ambient = [0.28, 0.28, 0.28]  # with the lights: no clipped whites
+    spec.visual.headlight.diffuse = [0.12, 0.12, 0.12]
+    spec.visual.headlight.specular = [0, 0, 0]
     for material in spec.materials:
         material.reflectance = 0
         material.specular, material.shininess = 0.2, 0.3
@@ -211,13 +214,10 @@ def _paint(spec: mujoco.MjSpec, name: SceneName) -> None:
         top.size = [SHEET_HALF_SIZE, SHEET_HALF_SIZE, top.size[2]]
 
 
-def _light(spec: mujoco.MjSpec) -> None:
-    """A key and a fill light, far away, with a little ambient: no clipped whites."""
-    spec.visual.headlight.ambient = [0.28, 0.28, 0.28]
-    spec.visual.headlight.diffuse = [0.12, 0.12, 0.12]
-    spec.visual.headlight.specular = [0, 0, 0]
+def _light(room: mujoco.MjsBody) -> None:
+    """A key and a fill light, far away, that turn with the room: shadows tell nothing either."""
     for direction, diffuse in (((-0.35, -0.45, -1.0), 0.50), ((0.55, 0.35, -0.8), 0.18)):
-        spec.worldbody.add_light(
+        room.add_light(
             type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
             dir=direction,
             pos=[0, 0, 4],

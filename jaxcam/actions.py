@@ -1,0 +1,91 @@
+"""The paper's four action spaces, to and from absolute controller targets (section V-A4).
+
+Inside, an action is an absolute target per control step: a grip pose in the world (position, rotation
+vector) or joint angles, with the gripper's sign last. Delta spaces difference the targets that were
+commanded one after the other, the first against what was measured at the start; at run time deltas
+are accumulated from there. Rotations compose on SO(3): R_next = exp(delta) R, axes of the base.
+"""
+
+from typing import Literal, get_args
+
+import numpy as np
+
+from jaxcam.rotations import matrix_from_rotvec, rotvec_from_matrix
+from jaxcam.sim.engine import ControllerName, State
+
+ActionSpace = Literal["eef_delta", "eef_abs", "joint_delta", "joint_abs"]
+ACTION_SPACES: tuple[ActionSpace, ...] = get_args(ActionSpace)
+
+
+def is_joint(space: ActionSpace) -> bool:
+    """Whether actions are joint angles rather than grip poses."""
+    return space.startswith("joint")
+
+
+def controller_of(space: ActionSpace) -> ControllerName:
+    """The controller that executes a space's targets."""
+    return "joint_position" if is_joint(space) else "osc_pose"
+
+
+def action_dim(space: ActionSpace) -> int:
+    """Size of an action, gripper included."""
+    return 8 if is_joint(space) else 7
+
+
+def measured(space: ActionSpace, state: State, arm: np.ndarray) -> np.ndarray:
+    """What deltas start from: the measured grip pose [B, 6] or joint angles [B, 7]."""
+    if is_joint(space):
+        return np.asarray(state.qpos)[:, arm]
+    return np.concatenate([state.grip_position, rotvec_from_matrix(state.grip_rotation)], -1)
+
+
+def encode(
+    space: ActionSpace, targets: np.ndarray, gripper: np.ndarray, start: np.ndarray
+) -> np.ndarray:
+    """Turns a demonstration's absolute targets into actions.
+
+    Args:
+        space: of the actions.
+        targets: grip poses (m, rad; world) [T, 6] or joint angles (rad) [T, 7].
+        gripper: signs [T].
+        start: what was measured before the first target [6] or [7].
+
+    Returns:
+        Actions [T, 7] or [T, 8].
+    """
+    if space.endswith("abs"):
+        moves = targets
+    else:
+        before = np.concatenate([start[None], targets[:-1]])
+        moves = targets - before
+        if space == "eef_delta":
+            rotations = matrix_from_rotvec(targets[:, 3:])
+            earlier = matrix_from_rotvec(before[:, 3:])
+            moves[:, 3:] = rotvec_from_matrix(rotations @ earlier.swapaxes(-1, -2))
+    return np.concatenate([moves, gripper[:, None]], -1)
+
+
+def decode(
+    space: ActionSpace, actions: np.ndarray, anchor: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Turns a batch of action chunks into absolute targets.
+
+    Args:
+        space: of the actions.
+        actions: chunks [B, T, 7] or [B, T, 8].
+        anchor: the last target commanded, at the start what was measured [B, 6] or [B, 7].
+
+    Returns:
+        Targets [B, T, 6] or [B, T, 7], and gripper signs [B, T]. The last target is the next anchor.
+    """
+    moves, gripper = np.asarray(actions[..., :-1], float), np.asarray(actions[..., -1], float)
+    if space.endswith("abs"):
+        return moves, gripper
+    targets = anchor[:, None] + np.cumsum(moves, 1)
+    if space == "eef_delta":
+        rotation = matrix_from_rotvec(anchor[:, 3:])
+        steps = matrix_from_rotvec(moves[..., 3:])
+        for t in range(moves.shape[1]):
+            rotation = steps[:, t] @ rotation
+            targets[:, t, 3:] = rotvec_from_matrix(rotation)
+    return targets, gripper

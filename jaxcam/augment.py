@@ -1,0 +1,52 @@
+"""Random crops of image and camera together.
+
+This is the only door through which pictures change, and it moves K with the pixels, so a ray-map
+computed afterwards belongs to the picture that the policy sees (paper, section V-A3).
+"""
+
+import jax
+import jax.numpy as jnp
+
+from jaxcam.state import Batch
+
+
+def random_crop(batch: Batch, key: jax.Array, *, smallest: float) -> Batch:
+    """Crops a random square of every picture and resizes it back, K moving along.
+
+    Args:
+        batch: with `image` [B, V, H, W, 3] and `K` [B, V, 3, 3].
+        key: every picture draws its own side and corner from it.
+        smallest: least side of the square as a share of the picture; the side is uniform in
+            [smallest, 1]. 1 leaves the batch as it is.
+
+    Returns:
+        The batch with float32 pictures (0 to 255, nearest pixel, as the authors resize) and new K.
+    """
+    if smallest >= 1:
+        return batch
+    image, K = batch["image"], batch["K"]
+    lead, (height, width) = image.shape[:2], image.shape[2:4]
+    side_key, corner_key = jax.random.split(key)
+    scale = jax.random.uniform(side_key, lead, minval=smallest, maxval=1.0)
+    corner = jax.random.uniform(corner_key, (*lead, 2))
+    size = jnp.array([height, width], jnp.float32)
+    # Whole pixels, so that the nearest pixel is the exact sample and K exact too.
+    side = jnp.round(scale[..., None] * size)
+    corner = jnp.floor(corner * (size - side + 1))
+    cropped = jax.vmap(jax.vmap(_crop))(image, corner, side)
+    zoom = size / side
+    # x' = (x - left) * zoom for image coordinates, whose corner is (0, 0).
+    shift = jnp.zeros_like(K).at[..., 0, 2].set(corner[..., 1]).at[..., 1, 2].set(corner[..., 0])
+    factor = jnp.stack([zoom[..., 1], zoom[..., 0], jnp.ones(lead)], -1)[..., None]
+    return {**batch, "image": cropped, "K": (K - shift) * factor}
+
+
+def _crop(image: jax.Array, corner: jax.Array, side: jax.Array) -> jax.Array:
+    """One picture [H, W, 3]: the square's pixel nearest to each pixel of the result."""
+    rows, columns = (
+        jnp.floor(corner[a] + (jnp.arange(image.shape[a]) + 0.5) * side[a] / image.shape[a]).astype(
+            jnp.int32
+        )
+        for a in (0, 1)
+    )
+    return image[rows][:, columns]

@@ -1,0 +1,200 @@
+"""`python -m jaxcam.collect`: demonstrations of the scripted expert, as states and commands."""
+
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from jaxcam.config import CollectConfig, cli
+from jaxcam.demos import Demo, Demos, DemoWriter, Header, read_demos
+from jaxcam.errors import SimError, run_main
+from jaxcam.progress import progress
+from jaxcam.rays import sample_poses, stair, stair_cameras
+from jaxcam.rotations import quaternion_from_matrix, rotvec_from_matrix
+from jaxcam.sim import make_task
+from jaxcam.sim.engine import Command, Engine, State
+from jaxcam.sim.native import NativeEngine
+from jaxcam.sim.scene import Scene, build_scene
+from jaxcam.sim.task import Aim, Sight, Task, starts
+
+FIRST_SEED = 42
+"""Start of the demonstrations' episode seeds (authors' generators)."""
+TRAIN_CAMERAS = 1
+"""Seed of the training cameras: with robosuite's ranges, the authors' released set."""
+VALIDATION_CAMERAS = 3
+"""Seed of the validation demonstrations' cameras."""
+BATCH = 50
+LEAST_SUCCESS = 0.9
+"""Share of expert episodes below which something is broken and collection stops."""
+
+
+def dataset_path(config: CollectConfig) -> Path:
+    """Where a dataset lies: its name holds every setting that shapes it."""
+    name = f"{config.task}-{config.scene}-n{config.n}m{config.m}-{config.demos}+{config.validation}"
+    return Path(config.data_dir) / f"{name}-seed{config.seed}.hdf5"
+
+
+def collect(config: CollectConfig, console: Console | None = None) -> Demos:
+    """Collects what is missing of a dataset and reads it.
+
+    Args:
+        config: what to collect.
+        console: for progress; silent when None.
+
+    Returns:
+        The complete dataset. An existing file is read and checked, an unfinished one continued.
+    """
+    path = dataset_path(config)
+    if not path.exists():
+        task = make_task(config.task)
+        scene = build_scene(task.objects(), config.scene)  # type: ignore[arg-type]
+        with DemoWriter(path, _header(config, task, scene)) as writer:
+            _fill(writer, task, scene, console)
+            writer.finish()
+    return read_demos(path, task=config.task, scene=config.scene)
+
+
+def _header(config: CollectConfig, task: Task, scene: Scene) -> Header:
+    poses = [
+        sample_poses(task.cameras, stair_cameras(config.demos, config.n, config.m), TRAIN_CAMERAS),
+        sample_poses(task.cameras, config.validation, VALIDATION_CAMERAS),
+    ]
+    return Header(
+        task=config.task,
+        scene=config.scene,
+        n=config.n,
+        m=config.m,
+        seed=config.seed,
+        train=config.demos,
+        valid=config.validation,
+        fovy_deg=task.fovy_deg,
+        nq=scene.physics.nq,
+        nv=scene.physics.nv,
+        world_from_camera=np.concatenate(poses),
+        versions={name: version(name) for name in ("jaxcam", "mujoco", "robosuite", "numpy")},
+    )
+
+
+def _fill(writer: DemoWriter, task: Task, scene: Scene, console: Console | None) -> None:
+    """Runs expert episodes until every slot of the file has a successful one."""
+    header = writer.header
+    total = header.train + header.valid
+    windows = stair(header.train, header.n, header.m)
+    held_out = np.arange(len(header.world_from_camera) - header.valid, len(header.world_from_camera))
+    cameras = [*windows, *held_out[:, None]]
+    engine = NativeEngine(scene, "osc_pose", varied=task.varied)
+    seeds = range(FIRST_SEED + 1_000_000 * header.seed, FIRST_SEED + 1_000_000 * (header.seed + 1))
+    tried = succeeded = 0
+    with progress(console, "collecting", total, done=len(writer.done)) as advance:
+        slots = iter(sorted(set(range(total)) - writer.done))
+        # Slot i's first episode has seed i, so that an interrupted collection ends as a whole one;
+        # the few that fail are replaced by seeds past the last slot, in order.
+        spare = iter(seeds[total:])
+        todo = [(slot, seeds[slot]) for slot in slots]
+        while todo:
+            batch, todo = todo[:BATCH], todo[BATCH:]
+            episodes = run_expert(task, scene, engine, [seed for _, seed in batch])
+            for (slot, _), demo in zip(batch, episodes, strict=True):
+                tried += 1
+                if demo is None:
+                    todo.append((slot, next(spare)))
+                    continue
+                succeeded += 1
+                writer.append(slot, demo_with_cameras(demo, cameras[slot]))
+                advance()
+            if tried >= 20 and succeeded < LEAST_SUCCESS * tried:
+                raise SimError(
+                    f"{writer.part}: the expert succeeded in {succeeded} of {tried} episodes of "
+                    f"{task.name}; at least {LEAST_SUCCESS:.0%} was expected. What was collected "
+                    "is kept."
+                )
+    if console and tried:
+        console.print(f"The expert succeeded in {succeeded} of {tried} episodes.")
+
+
+def demo_with_cameras(demo: Demo, cameras: np.ndarray) -> Demo:
+    """The same demonstration, seen by other cameras."""
+    return Demo(**{**demo.__dict__, "cameras": np.asarray(cameras)})
+
+
+def run_expert(task: Task, scene: Scene, engine: Engine, seeds: list[int]) -> list[Demo | None]:
+    """Runs one expert episode per seed, all at once.
+
+    Returns:
+        Demonstrations up to the expert's last aim, without cameras; None where it failed.
+    """
+    start = starts(task, scene, seeds)
+    state = engine.reset(start)
+    sights = [Sight(*x) for x in zip(*_seen(state), strict=True)]
+    experts = [task.expert(scene, sight) for sight in sights]
+    trace: list[State] = [state]
+    commands: list[np.ndarray] = []
+    lengths = np.full(len(seeds), task.horizon)
+    while len(commands) < task.horizon:
+        aims = [next(expert, None) for expert in experts]
+        for i, aim in enumerate(aims):
+            if aim is None:
+                lengths[i] = min(lengths[i], len(commands))
+        running = lengths > len(commands)
+        if not running.any():
+            break
+        command = np.stack([_command(aim) for aim in aims])
+        state = engine.step(state, Command(command[:, :6], command[:, 6]), active=running)
+        commands.append(command)
+        trace.append(state)
+        for sight, *seen in zip(sights, *_seen(state), strict=True):
+            sight.grip_position, sight.grip_rotation, sight.qpos = seen
+    done = task.success(scene, trace[-1].qpos) & state.ok
+    return [
+        _demo(trace, commands, start, i, seed, int(lengths[i])) if done[i] else None
+        for i, seed in enumerate(seeds)
+    ]
+
+
+def _seen(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return state.grip_position, state.grip_rotation, state.qpos
+
+
+def _command(aim: Aim | None) -> np.ndarray:
+    if aim is None:  # finished: the world no longer moves
+        return np.zeros(7)
+    return np.concatenate([aim.position, rotvec_from_matrix(aim.rotation), [aim.gripper]])
+
+
+def _demo(
+    trace: list[State], commands: list[np.ndarray], start: object, i: int, seed: int, length: int
+) -> Demo:
+    rows = trace[: length + 1]
+    time = np.arange(length + 1)[:, None] / 20.0
+    qpos = np.stack([s.qpos[i] for s in rows])
+    qvel = np.stack([s.qvel[i] for s in rows])
+    quat = quaternion_from_matrix(np.stack([s.grip_rotation[i] for s in rows]))
+    return Demo(
+        seed=seed,
+        states=np.concatenate([time, qpos, qvel], 1),
+        actions=np.stack([c[i] for c in commands[:length]]),
+        eef_pos=np.stack([s.grip_position[i] for s in rows]),
+        eef_quat=np.roll(quat, -1, -1),
+        gripper=np.array([s.closed[i] for s in rows]),
+        geom_size=start.geom_size[i],  # type: ignore[attr-defined]
+        fixtures=start.fixtures[i],  # type: ignore[attr-defined]
+        cameras=np.empty(0, int),
+    )
+
+
+def main() -> None:
+    """The command line."""
+    config = cli(CollectConfig)
+    console = Console()
+    demos = collect(config, console)
+    lengths = [d.length for d in demos.train + demos.valid]
+    console.print(
+        f"{demos.path}: {len(demos.train)} training and {len(demos.valid)} validation "
+        f"demonstrations of {min(lengths)} to {max(lengths)} control steps "
+        f"(mean {np.mean(lengths):.0f}), {len(demos.header.world_from_camera)} cameras."
+    )
+
+
+if __name__ == "__main__":
+    run_main(main)

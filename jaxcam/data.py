@@ -1,0 +1,198 @@
+"""Training batches as a pure function of (seed, step), and the statistics policies normalise by.
+
+No iterator holds state: `index(seed, step)` names the samples of a step, so a resumed run, another
+prefetch depth or another machine sees the same batches.
+"""
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from jaxcam.actions import ActionSpace, encode, is_joint
+from jaxcam.demos import Demo, Demos
+from jaxcam.frames import Frames, intrinsics
+from jaxcam.rays import invert
+from jaxcam.rotations import matrix_from_quaternion, rotvec_from_matrix
+
+Batch = dict[str, np.ndarray]
+
+PREFETCH = 4
+"""Calls' worth of batches made ready ahead by a thread."""
+STD_FLOOR = 1e-4
+"""Least standard deviation that actions and proprioception are divided by (authors' code)."""
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Demonstrations as the arrays that batches are cut from."""
+
+    frames: Frames = field(repr=False)
+    K: np.ndarray
+    """Intrinsics of every picture [3, 3]."""
+    base_from_camera: np.ndarray = field(repr=False)
+    """All cameras in the robot's base frame [N, 4, 4]."""
+    actions: np.ndarray = field(repr=False)
+    """Actions of every demonstration, zeros past its end [D, T, A]."""
+    proprio: np.ndarray = field(repr=False)
+    """Joint angles and gripper command before each action [D, T, 8]."""
+    lengths: np.ndarray = field(repr=False)
+    """Control steps of each demonstration [D]."""
+    windows: list[np.ndarray] = field(repr=False)
+    """Cameras that see each demonstration."""
+    train: int
+    """Number of training demonstrations; the rest are for validation."""
+
+    def stats(self) -> dict[str, np.ndarray]:
+        """Statistics of the training demonstrations, float32; population std as the authors'."""
+        rows = [slice(0, n) for n in self.lengths[: self.train]]
+        actions = np.concatenate([a[r] for a, r in zip(self.actions, rows, strict=False)])
+        proprio = np.concatenate([p[r] for p, r in zip(self.proprio, rows, strict=False)])
+        stats = {
+            "action_mean": actions.mean(0),
+            "action_std": np.maximum(actions.std(0), STD_FLOOR),
+            "action_min": actions.min(0),
+            "action_max": actions.max(0),
+            "proprio_mean": proprio.mean(0),
+            "proprio_std": np.maximum(proprio.std(0), STD_FLOOR),
+        }
+        return {k: v.astype(np.float32) for k, v in stats.items()}
+
+    def batch(self, demo: np.ndarray, t: np.ndarray, views: np.ndarray, chunk: int) -> Batch:
+        """The samples that start at step `t` [B] of `demo` [B], seen by cameras `views` [B, V]."""
+        steps = t[:, None] + np.arange(chunk)
+        is_pad = steps >= self.lengths[demo][:, None]
+        actions = self.actions[demo[:, None], np.minimum(steps, self.actions.shape[1] - 1)]
+        rows = self.frames.at(demo[:, None], t[:, None], views)
+        cameras = np.stack([self.windows[d][v] for d, v in zip(demo, views, strict=True)])
+        return {
+            "image": self.frames.pictures[rows],
+            "K": np.broadcast_to(self.K, (*rows.shape, 3, 3)).astype(np.float32),
+            "base_from_camera": self.base_from_camera[cameras],
+            "proprio": self.proprio[demo, t],
+            "action": np.where(is_pad[..., None], 0, actions).astype(np.float32),
+            "is_pad": is_pad,
+        }
+
+    def index(
+        self, seed: int, step: int, batch: int, views: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Names a step's samples: demonstrations [B], time steps [B], cameras [B, V].
+
+        As in the authors' harness an epoch takes every training demonstration once, in random
+        order, each at one random time step and from random distinct cameras of its window.
+        """
+        place = step * batch + np.arange(batch)
+        epochs, slots = np.divmod(place, self.train)
+        parts = [self._epoch(seed, int(e), views) for e in np.unique(epochs)]
+        which = np.searchsorted(np.unique(epochs), epochs)
+        pick = [np.stack([p[k] for p in parts])[which, slots] for k in range(3)]
+        return pick[0], pick[1], pick[2]
+
+    def _epoch(self, seed: int, epoch: int, views: int) -> tuple[np.ndarray, ...]:
+        rng = np.random.Generator(np.random.Philox(key=[seed, epoch]))
+        order = rng.permutation(self.train)
+        t = np.floor(rng.random(self.train) * self.lengths[order]).astype(int)
+        draws = rng.random((self.train, max(map(len, self.windows))))
+        cameras = np.stack(
+            [np.argsort(r[: len(self.windows[d])])[:views] for r, d in zip(draws, order, strict=True)]
+        )
+        return order, t, cameras
+
+    def validation(self, chunk: int, views: int, per_demo: int = 16) -> Batch:
+        """A fixed batch: evenly spaced steps of every validation demonstration."""
+        demos = np.arange(self.train, len(self.lengths)).repeat(per_demo)
+        t = np.concatenate(
+            [np.linspace(0, n - 1, per_demo).astype(int) for n in self.lengths[self.train :]]
+        )
+        cameras = np.tile(np.arange(views) % len(self.windows[-1]), (len(demos), 1))
+        return self.batch(demos, t, cameras, chunk)
+
+
+def make_dataset(
+    demos: Demos,
+    frames: Frames,
+    space: ActionSpace,
+    world_from_base: np.ndarray,
+    arm: np.ndarray,
+) -> Dataset:
+    """Turns demonstrations into arrays, their commands into actions of a space.
+
+    Args:
+        demos: the dataset.
+        frames: its pictures.
+        space: of the actions.
+        world_from_base: pose of the robot's base [4, 4].
+        arm: indices of the arm's joints in qpos.
+    """
+    every = demos.train + demos.valid
+    lengths = np.array([d.length for d in every])
+    longest = int(lengths.max())
+    nq = demos.header.nq
+    actions, proprio = [], []
+    for demo in every:
+        moves = demo_actions(demo, space, nq, arm)
+        joints = demo.qpos(nq)[:-1, arm]
+        state = np.concatenate([joints, demo.gripper[:-1, None]], 1)
+        pad = ((0, longest - demo.length), (0, 0))
+        actions.append(np.pad(moves, pad))
+        proprio.append(np.pad(state, pad))
+    pixels = frames.pictures.shape[1]
+    return Dataset(
+        frames=frames,
+        K=intrinsics(demos.header.fovy_deg, pixels),
+        base_from_camera=(invert(world_from_base) @ demos.header.world_from_camera).astype(
+            np.float32
+        ),
+        actions=np.stack(actions).astype(np.float32),
+        proprio=np.stack(proprio).astype(np.float32),
+        lengths=lengths,
+        windows=[d.cameras for d in every],
+        train=len(demos.train),
+    )
+
+
+def demo_actions(demo: Demo, space: ActionSpace, nq: int, arm: np.ndarray) -> np.ndarray:
+    """A demonstration's commands in an action space [T, A]; joint targets are the joints reached."""
+    qpos = demo.qpos(nq)
+    if is_joint(space):
+        return encode(space, qpos[1:, arm], demo.actions[:, -1], qpos[0, arm])
+    quat = np.roll(demo.eef_quat[0], 1)
+    start = np.concatenate([demo.eef_pos[0], rotvec_from_matrix(matrix_from_quaternion(quat))])
+    return encode(space, demo.actions[:, :-1], demo.actions[:, -1], start)
+
+
+def stacked_batches(
+    dataset: Dataset, seed: int, first: int, last: int, per_call: int, batch: int, **sizes: int
+) -> Iterator[tuple[int, Batch]]:
+    """Batches of steps `first` to `last`, `per_call` stacked for each compiled call.
+
+    A thread reads ahead; it only makes what `index` names.
+
+    Args:
+        dataset: where samples come from.
+        seed: of the order.
+        first: step to begin with.
+        last: step to stop before.
+        per_call: steps stacked on the first axis.
+        batch: samples a step.
+        **sizes: `views` and `chunk`.
+    """
+    views, chunk = sizes["views"], sizes["chunk"]
+
+    def make(step: int) -> Batch:
+        parts = [
+            dataset.batch(*dataset.index(seed, step + k, batch, views), chunk)
+            for k in range(per_call)
+        ]
+        return {key: np.stack([p[key] for p in parts]) for key in parts[0]}
+
+    steps = range(first, last, per_call)
+    with ThreadPoolExecutor(1) as pool:
+        ahead = {s: pool.submit(make, s) for s in steps[:PREFETCH]}
+        for i, step in enumerate(steps):
+            ready = ahead.pop(step).result()
+            if i + PREFETCH < len(steps):
+                ahead[steps[i + PREFETCH]] = pool.submit(make, steps[i + PREFETCH])
+            yield step, ready

@@ -1,0 +1,129 @@
+"""The pictures of a dataset, rendered once per (dataset, cameras, resolution, renderer).
+
+A cache is one uint8 array on disk, `[frames, H, W, 3]`, read through a memory map. It is written
+as `<name>.part` beside a count of finished demonstrations, so an interrupted rendering goes on.
+"""
+
+import json
+import os
+import shutil
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from jaxcam.demos import Demo, Demos
+from jaxcam.errors import DatasetError
+from jaxcam.progress import progress
+from jaxcam.rays import Camera
+from jaxcam.sim import make_task
+from jaxcam.sim.render import Renderer, View
+from jaxcam.sim.scene import build_scene
+
+DEMOS_PER_BATCH = 8
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Pictures of some demonstrations: frame t of camera c of demo i is `pictures[at(i, t, c)]`."""
+
+    pictures: np.ndarray = field(repr=False)
+    """uint8 [frames, H, W, 3]."""
+    first: np.ndarray = field(repr=False)
+    """First frame of each demonstration [demos]."""
+    cameras: np.ndarray = field(repr=False)
+    """Number of cameras of each demonstration [demos]."""
+
+    def at(self, demo: np.ndarray, t: np.ndarray, camera: np.ndarray) -> np.ndarray:
+        """Index of a frame; `camera` counts within the demonstration's window."""
+        return self.first[demo] + t * self.cameras[demo] + camera
+
+
+def intrinsics(fovy_deg: float, resolution: int) -> np.ndarray:
+    """K [3, 3] of a square picture with a vertical field of view in degrees."""
+    camera = Camera.from_fovy(np.deg2rad(fovy_deg), resolution, resolution, np.eye(4))
+    return np.asarray(camera.K)
+
+
+def load_frames(demos: Demos, resolution: int, console: Console | None = None) -> Frames:
+    """Renders what is missing of a dataset's pictures and opens them.
+
+    Args:
+        demos: the dataset; training demonstrations come first, validation ones after.
+        resolution: side of the pictures (pixels).
+        console: for progress; silent when None.
+
+    Raises:
+        DatasetError: if the disk has no room for them.
+    """
+    every = demos.train + demos.valid
+    counts = np.array([d.length * len(d.cameras) for d in every])
+    first = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    frames = int(counts.sum())
+    name = f"{demos.path.stem}-{demos.fingerprint}-{resolution}px-{Renderer.identity()}.npy"
+    path = demos.path.parent / "frames" / name
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        size = frames * resolution * resolution * 3
+        free = shutil.disk_usage(path.parent).free
+        part = _Part(path, (frames, resolution, resolution, 3))
+        if free + part.size < size * 1.05:
+            raise DatasetError(
+                f"{path.parent}: the pictures need {size / 1e9:.1f} GB, but {free / 1e9:.1f} GB "
+                "are free. Choose another --data-dir or a smaller --resolution."
+            )
+        task = make_task(demos.header.task)
+        scene = build_scene(task.objects(), demos.header.scene)  # type: ignore[arg-type]
+        renderer = Renderer(scene, resolution, varied=task.varied)
+        with progress(console, "rendering", frames, done=int(counts[: part.done].sum())) as advance:
+            for i in range(part.done, len(every), DEMOS_PER_BATCH):
+                some = every[i : i + DEMOS_PER_BATCH]
+                views = [_view(d, demos, resolution) for d in some]
+                joined = View(*(np.concatenate(x) for x in zip(*views, strict=True)))
+                pictures = renderer.rgb(joined)
+                part.write(int(first[i]), pictures, i + len(some))
+                advance(len(pictures))
+        part.finish()
+    pictures = np.load(path, mmap_mode="r")
+    return Frames(pictures, first, np.array([len(d.cameras) for d in every]))
+
+
+def _view(demo: Demo, demos: Demos, resolution: int) -> View:
+    """Every frame of a demonstration in the cache's order: time, then camera."""
+    cameras, length = len(demo.cameras), demo.length
+    qpos = demo.qpos(demos.header.nq)[:length].repeat(cameras, 0)
+    count = length * cameras
+    K = intrinsics(demos.header.fovy_deg, resolution)
+    return View(
+        qpos=qpos,
+        geom_size=np.broadcast_to(demo.geom_size, (count, *demo.geom_size.shape)),
+        fixtures=np.broadcast_to(demo.fixtures, (count, *demo.fixtures.shape)),
+        K=np.broadcast_to(K, (count, 3, 3)),
+        world_from_camera=np.tile(demos.header.world_from_camera[demo.cameras], (length, 1, 1)),
+    )
+
+
+class _Part:
+    """An unfinished cache and the count of demonstrations in it."""
+
+    def __init__(self, path: Path, shape: tuple[int, ...]) -> None:
+        self.path = path
+        self.part = path.with_suffix(".part")
+        self._count = path.with_suffix(".part.json")
+        self.done = 0
+        self.size = self.part.stat().st_size if self.part.exists() else 0
+        if self.size and self._count.exists():
+            self.done = int(json.loads(self._count.read_text())["demos"])
+        mode = "r+" if self.done else "w+"
+        self._array = np.lib.format.open_memmap(self.part, mode, np.uint8, shape)
+
+    def write(self, first: int, pictures: np.ndarray, done: int) -> None:
+        self._array[first : first + len(pictures)] = pictures
+        self._array.flush()
+        self._count.write_text(json.dumps({"demos": done}))
+
+    def finish(self) -> None:
+        del self._array
+        os.replace(self.part, self.path)
+        self._count.unlink(missing_ok=True)
