@@ -123,8 +123,6 @@ def comparison(arms: Mapping[str, Sequence[Row]], baseline: str | None = None) -
         _beside(left, y, text if estimate.n else "no rollouts")
         if name == baseline:
             _beside(right, y, "baseline")
-                0, y, " baseline ", color=GREY, va="center", ha="center", backgroundcolor="w"
-            )
             continue
         delta = paired_difference(arms[name], arms[baseline])
         _interval(right, y, (delta.value, delta.low, delta.high), colour)
