@@ -156,10 +156,10 @@ def latest_rows(rows: Iterable[Row]) -> list[Row]:
         rows: Evaluation rows in the order they were written.
 
     Returns:
-        One row for each (task, scene, run, policy, conditioning, seed, step, pair).
+        One row for each (task, scene, run, policy, conditioning, seed, step, split, pair).
     """
-    identity = ("task", "scene", "run", "policy", "conditioning", "seed", "step", "pair")
-    return list({tuple(row.get(name) for name in identity): row for row in rows}.values())
+    names = ("task", "scene", "run", "policy", "conditioning", "seed", "step", "split", "pair")
+    return list({tuple(row.get(name) for name in names): row for row in rows}.values())
 
 
 def is_finished(row: Row) -> bool:
@@ -192,7 +192,7 @@ def _by_pair(rows: Iterable[Row]) -> tuple[dict[Hashable, list[float]], int]:
             excluded += 1
             continue
         # Pair 3 of one task is not pair 3 of another.
-        key = (row.get("task"), row.get("scene"), row["pair"])
+        key = (row.get("task"), row.get("scene"), row.get("split"), row["pair"])
         groups.setdefault(key, []).append(float(row["success"]))
     return groups, excluded
 
