@@ -1,7 +1,8 @@
 """Policies: networks defined with Flax nnx, handed out as pure functions over dicts of arrays."""
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +21,10 @@ from jaxcam.models.act import (
 )
 from jaxcam.models.policy import Batch, Key, Obs, Params, Policy, PolicySpec
 
+if TYPE_CHECKING:
+    from jaxcam.checkpoint import PolicyInputs
+    from jaxcam.config import TrainConfig
+
 __all__ = [
     "ACT_PRESETS",
     "ActConfig",
@@ -30,6 +35,8 @@ __all__ = [
     "Policy",
     "PolicySpec",
     "make_policy",
+    "policy_settings",
+    "rebuild_policy",
     "with_conditioning",
 ]
 
@@ -101,3 +108,16 @@ def make_policy(config: ActConfig, spec: PolicySpec, stats: Mapping[str, np.ndar
         return network(params)(obs, proprio(obs))[0] * action_std + action_mean
 
     return Policy(init, loss, act, config, spec)
+
+
+def policy_settings(config: "TrainConfig") -> ActConfig:
+    """The network's settings that a run's resolved settings ask for."""
+    from jaxcam.config import with_overrides
+
+    settings = with_conditioning(ACT_PRESETS[config.preset], config.conditioning)
+    return with_overrides(replace(settings, compute_dtype=config.precision), config.model)
+
+
+def rebuild_policy(inputs: "PolicyInputs") -> Policy:
+    """The policy of a checkpoint, as it was trained."""
+    return make_policy(ActConfig(**inputs.settings), PolicySpec(**inputs.spec), inputs.stats)

@@ -69,6 +69,9 @@ class VisionConfig:
     """What becomes a token: every cell of the feature map (grid), or every one of the keypoints."""
     keypoints: int = 32
     """Heat maps a view, when keypoints are pooled."""
+    heat_gain: float = 10.0
+    """Factor on heat maps before their softmax. At 1 all keypoints start in the image's middle, and
+    training spends a thousand updates on getting them away from there."""
     keypoint_features: bool = True
     """Whether a keypoint also carries the features under its heat map."""
     lift: bool = True
@@ -156,7 +159,7 @@ def pool_keypoints(logits: jax.Array, rays: jax.Array, features: jax.Array) -> K
     """Expectations under spatial softmaxes.
 
     Args:
-        logits: Heat maps before the softmax, [N, h, w, k].
+        logits: Heat maps before the softmax, float32 [N, h, w, k].
         rays: Ray-map on the same grid, [N, h, w, 6].
         features: Feature map, [N, h, w, C].
 
@@ -165,7 +168,7 @@ def pool_keypoints(logits: jax.Array, rays: jax.Array, features: jax.Array) -> K
         is again a line through it, with a direction shorter than 1.
     """
     n, h, w, k = logits.shape
-    weights = jax.nn.softmax(logits.astype(jnp.float32).reshape(n, h * w, k), axis=1)
+    weights = jax.nn.softmax(logits.reshape(n, h * w, k), axis=1)
     x, y = (2 * np.arange(size, dtype=np.float32) + 1 for size in (w, h))
     pixel = np.stack(np.meshgrid(x / w - 1, y / h - 1), -1).reshape(h * w, 2)
     geometry = jnp.concatenate(
@@ -202,6 +205,7 @@ class KeypointPool(nnx.Module):
     def __init__(self, config: VisionConfig, *, rngs: nnx.Rngs):
         channels = config.encoder_width
         self.heat = linear(channels, config.keypoints, rngs=rngs, dtype=config.dtype)
+        self.heat_gain = config.heat_gain
         self.with_rays = config.network == "keypoints"
         self.with_lift = self.with_rays and config.lift
         self.with_features = config.keypoint_features
@@ -212,7 +216,8 @@ class KeypointPool(nnx.Module):
 
     def __call__(self, features: jax.Array, rays: jax.Array) -> jax.Array:
         """Map features [N, h, w, C] and rays [N, h, w, 6] to keypoints [N, k, width], float32."""
-        points = pool_keypoints(self.heat(features), rays, features)
+        logits = self.heat(features).astype(jnp.float32) * self.heat_gain
+        points = pool_keypoints(logits, rays, features)
         parts = [points.pixel]
         if self.with_rays:
             parts.append(points.ray)

@@ -1,6 +1,7 @@
 """Layers that start and compute as the PyTorch models do which the paper's numbers come from."""
 
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -25,8 +26,9 @@ def uniform_bias(fan_in: int) -> Initializer:
     """PyTorch's default bias, uniform within 1/sqrt(fan_in)."""
     bound = 1 / math.sqrt(fan_in)
 
-    def init(key, shape, dtype=jnp.float32, **_):
-        return jax.random.uniform(key, shape, dtype, -bound, bound)
+    def init(key: jax.Array, shape: Any, dtype: Any = None, out_sharding: Any = None) -> jax.Array:
+        del out_sharding
+        return jax.random.uniform(key, shape, dtype or jnp.float32, -bound, bound)
 
     return init
 

@@ -16,8 +16,8 @@ FROZEN_SCALE = 1 / math.sqrt(1 + 1e-5)
 
 def max_pool(x: jax.Array) -> jax.Array:
     """3×3 maximum with stride 2, padded by -inf."""
-    pad = ((1, 1), (1, 1))
-    return nnx.max_pool(x, (3, 3), strides=(2, 2), padding=pad)
+    padding = ((0, 0), (1, 1), (1, 1), (0, 0))
+    return jax.lax.reduce_window(x, -jnp.inf, jax.lax.max, (1, 3, 3, 1), (1, 2, 2, 1), padding)
 
 
 class BasicBlock(nnx.Module):
@@ -117,7 +117,7 @@ class SmallEncoder(nnx.Module):
         self.norm = layer_norm(width, rngs=rngs, dtype=dtype)
 
     def __call__(self, x: jax.Array, rays: jax.Array | None = None) -> jax.Array:
-        """Map images [N, H, W, 3], joined by a ray-map [N, H/4, W/4, 6], to [N, H/4, W/4, width]."""
+        """Map images [N, H, W, 3], joined by rays [N, H/4, W/4, 6], to [N, H/4, W/4, width]."""
         x = space_to_depth(x, self.stride)
         if rays is not None:
             x = jnp.concatenate([x, rays], -1)
