@@ -72,8 +72,9 @@ class VisionConfig:
     heat_gain: float = 10.0
     """Factor on heat maps before their softmax. At 1 all keypoints start in the image's middle, and
     training spends a thousand updates on getting them away from there."""
-    keypoint_features: bool = True
-    """Whether a keypoint also carries the features under its heat map."""
+    keypoint_features: bool = False
+    """Whether a ray keypoint also carries the features under its heat map, as keypoints without
+    rays always do."""
     lift: bool = True
     """Whether a ray keypoint also carries the point of its ray at a height the network chooses."""
     compute_dtype: str = "float32"
@@ -208,7 +209,7 @@ class KeypointPool(nnx.Module):
         self.heat_gain = config.heat_gain
         self.with_rays = config.network == "keypoints"
         self.with_lift = self.with_rays and config.lift
-        self.with_features = config.keypoint_features
+        self.with_features = config.keypoint_features or not self.with_rays
         if self.with_lift:
             self.height = linear(channels, 1, rngs=rngs, dtype=jnp.float32)
             self.height_bias = nnx.Param(jnp.zeros(config.keypoints))
