@@ -15,6 +15,7 @@ from jaxcam.demos import Demo, Demos
 from jaxcam.frames import Frames, intrinsics
 from jaxcam.rays import invert
 from jaxcam.rotations import matrix_from_quaternion, rotvec_from_matrix
+from jaxcam.sim.scene import Scene
 
 Batch = dict[str, np.ndarray]
 
@@ -36,13 +37,15 @@ class Dataset:
     actions: np.ndarray = field(repr=False)
     """Actions of every demonstration, zeros past its end [D, T, A]."""
     proprio: np.ndarray = field(repr=False)
-    """Joint angles and gripper command before each action [D, T, 8]."""
+    """What the robot feels before each action (`Scene.proprio`) [D, T, P]."""
     lengths: np.ndarray = field(repr=False)
     """Control steps of each demonstration [D]."""
     windows: list[np.ndarray] = field(repr=False)
     """Cameras that see each demonstration."""
     train: int
     """Number of training demonstrations; the rest are for validation."""
+    fingerprint: str
+    """Of the demonstrations and the pictures."""
 
     def stats(self) -> dict[str, np.ndarray]:
         """Statistics of the training demonstrations, float32; population std as the authors'."""
@@ -114,8 +117,7 @@ def make_dataset(
     demos: Demos,
     frames: Frames,
     space: ActionSpace,
-    world_from_base: np.ndarray,
-    arm: np.ndarray,
+    scene: Scene,
 ) -> Dataset:
     """Turns demonstrations into arrays, their commands into actions of a space.
 
@@ -123,8 +125,7 @@ def make_dataset(
         demos: the dataset.
         frames: its pictures.
         space: of the actions.
-        world_from_base: pose of the robot's base [4, 4].
-        arm: indices of the arm's joints in qpos.
+        scene: where the demonstrations were given.
     """
     every = demos.train + demos.valid
     lengths = np.array([d.length for d in every])
@@ -132,9 +133,8 @@ def make_dataset(
     nq = demos.header.nq
     actions, proprio = [], []
     for demo in every:
-        moves = demo_actions(demo, space, nq, arm)
-        joints = demo.qpos(nq)[:-1, arm]
-        state = np.concatenate([joints, demo.gripper[:-1, None]], 1)
+        moves = demo_actions(demo, space, nq, scene.arm)
+        state = scene.proprio(demo.qpos(nq), demo.eef_pos)[:-1]
         pad = ((0, longest - demo.length), (0, 0))
         actions.append(np.pad(moves, pad))
         proprio.append(np.pad(state, pad))
@@ -142,7 +142,7 @@ def make_dataset(
     return Dataset(
         frames=frames,
         K=intrinsics(demos.header.fovy_deg, pixels),
-        base_from_camera=(invert(world_from_base) @ demos.header.world_from_camera).astype(
+        base_from_camera=(invert(scene.world_from_base) @ demos.header.world_from_camera).astype(
             np.float32
         ),
         actions=np.stack(actions).astype(np.float32),
@@ -150,6 +150,7 @@ def make_dataset(
         lengths=lengths,
         windows=[d.cameras for d in every],
         train=len(demos.train),
+        fingerprint=f"{demos.fingerprint}-{pixels}px-{space}",
     )
 
 

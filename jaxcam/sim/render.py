@@ -25,7 +25,22 @@ _FAR = 1e3
 _SKY = (0.75, 0.80, 0.85, 1.0)
 """Colour where no geom is hit."""
 
-wp.config.log_level = wp.LOG_ERROR
+
+
+def _start_warp() -> None:
+    """Starts Warp without its greeting and, on a machine without CUDA, its complaint."""
+    wp.config.log_level = wp.LOG_ERROR
+    stderr, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        wp.init()
+    finally:
+        os.dup2(stderr, 2)
+        os.close(stderr)
+        os.close(nowhere)
+
+
+_start_warp()
 
 
 class View(NamedTuple):

@@ -11,8 +11,6 @@ package; nothing of robosuite runs at simulation time. From that one MJCF two mo
 Both have the same joints in the same order, so one `qpos` serves both.
 """
 
-import contextlib
-import io
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -21,13 +19,17 @@ from typing import Any, Literal
 import mujoco
 import numpy as np
 
-with contextlib.redirect_stderr(io.StringIO()):  # robosuite warns about the IK it cannot import
-    logging.getLogger("robosuite_logs").setLevel(logging.ERROR)
-    from robosuite.models.arenas import TableArena
-    from robosuite.models.bases import robot_base_factory
-    from robosuite.models.grippers import PandaGripper
-    from robosuite.models.robots import Panda
-    from robosuite.models.tasks import ManipulationTask
+logging.disable(logging.WARNING)  # robosuite warns of parts of it that are not used here
+from robosuite.models.arenas import TableArena  # noqa: E402
+from robosuite.models.bases import robot_base_factory  # noqa: E402
+from robosuite.models.grippers import PandaGripper  # noqa: E402
+from robosuite.models.objects import BoxObject  # noqa: E402
+from robosuite.models.robots import Panda  # noqa: E402
+from robosuite.models.tasks import ManipulationTask  # noqa: E402
+
+logging.disable(logging.NOTSET)
+
+__all__ = ["SCENES", "TABLE_TOP", "BoxObject", "Scene", "SceneName", "build_scene"]
 
 SceneName = Literal["fixed", "randomized"]
 SCENES: tuple[SceneName, ...] = ("fixed", "randomized")
@@ -70,6 +72,15 @@ class Scene:
     def qpos_of(self, body: str) -> int:
         """Address in qpos of the free joint (xyz, wxyz) of an object's body."""
         return int(self.physics.joint(f"{body}_joint0").qposadr[0])
+
+    def proprio(self, qpos: np.ndarray, grip_position: np.ndarray) -> np.ndarray:
+        """What the robot feels, float32 [..., 11].
+
+        Joint angles (rad) [7], grip site in the base frame (m) [3], opening of the fingers (m).
+        """
+        local = (grip_position - self.world_from_base[:3, 3]) @ self.world_from_base[:3, :3]
+        opening = abs(qpos[..., self.fingers]).sum(-1, keepdims=True)
+        return np.concatenate([qpos[..., self.arm], local, opening], -1).astype(np.float32)
 
 
 def build_scene(objects: Sequence[Any], name: SceneName) -> Scene:

@@ -4,11 +4,10 @@ from collections.abc import Iterator
 from typing import Any, ClassVar
 
 import numpy as np
-from robosuite.models.objects import BoxObject
 
 from jaxcam.rotations import Array
 from jaxcam.sim.experts import CLOSE, OPEN, hold, reach
-from jaxcam.sim.scene import TABLE_TOP, Scene
+from jaxcam.sim.scene import TABLE_TOP, BoxObject, Scene
 from jaxcam.sim.task import Aim, Sight, Task
 
 HALF_SIZE = (0.020, 0.022)

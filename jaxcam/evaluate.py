@@ -1,0 +1,284 @@
+"""`python -m jaxcam.evaluate RUN`: success on (initial state, camera pose) pairs never seen.
+
+Pairs are numbered; pair i has the same start and the same cameras for every policy, seed and
+checkpoint (paper, section IV-C). Every rollout is one row of `RUN/eval/rows.jsonl`.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from rich.console import Console
+
+from jaxcam.actions import controller_of
+from jaxcam.checkpoint import load_policy_inputs
+from jaxcam.config import EvaluateConfig, TrainConfig, cli
+from jaxcam.errors import run_main
+from jaxcam.frames import intrinsics
+from jaxcam.html import write_report
+from jaxcam.models import Policy, rebuild_policy
+from jaxcam.plots import write_plots
+from jaxcam.progress import progress
+from jaxcam.rays import Camera, sample_poses, spherical
+from jaxcam.rundir import append_jsonl, read_jsonl
+from jaxcam.sim import make_task
+from jaxcam.sim.native import NativeEngine
+from jaxcam.sim.render import Renderer, View
+from jaxcam.sim.rollout import Rollouts, rollout
+from jaxcam.sim.scene import build_scene
+from jaxcam.sim.task import starts
+from jaxcam.stats import Estimate, success_rate
+from jaxcam.video import grid, write_video
+
+SPLITS = {"test": (1_000_000, 23), "validation": (2_000_000, 5)}
+"""First episode seed and camera seed of each set of pairs. `test` has the authors' released test
+cameras; settings are chosen on `validation`."""
+MOST_PAIRS = 100_000
+VIDEO_PIXELS = 160
+VIDEO_STRIDE = 2
+"""Control steps per frame of a video."""
+
+Row = dict[str, Any]
+
+
+@dataclass
+class Evaluator:
+    """Runs pairs of one task, scene and action space; the compiled parts are made once."""
+
+    config: TrainConfig
+    width: int = 50
+    """Rollouts simulated at once. Policies see batches of exactly this many, since the width can
+    change a result's last digits; it is kept in each row."""
+    _parts: tuple[Any, ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        config = self.config
+        task = make_task(config.task)
+        scene = build_scene(task.objects(), config.scene)  # type: ignore[arg-type]
+        engine = NativeEngine(scene, controller_of(config.action_space), varied=task.varied)  # type: ignore[arg-type]
+        self._parts = task, scene, engine, Renderer(scene, config.resolution, varied=task.varied)
+
+    @property
+    def world_from_base(self) -> np.ndarray:
+        """Pose of the robot's base [4, 4]."""
+        return self._parts[1].world_from_base
+
+    def run(
+        self,
+        policy: Policy,
+        params: Any,
+        split: str,
+        pairs: Sequence[int],
+        *,
+        step: int,
+        run: str,
+        tick: Callable[[], None] = lambda: None,
+    ) -> tuple[list[Row], Rollouts]:
+        """Runs at most `width` pairs at once.
+
+        Args:
+            policy: the policy.
+            params: its parameters.
+            split: which pairs: `test` or `validation`.
+            pairs: their numbers.
+            step: of the checkpoint, for the rows.
+            run: name of the run, for the rows.
+            tick: called after every control step.
+
+        Returns:
+            One row per pair, and the rollouts.
+        """
+        task, scene, engine, renderer = self._parts
+        config = self.config
+        seed, cameras = self._pairs(split, pairs)
+        act = _padded(jax.jit(policy.act), params, self.width, config.seed)
+        start = starts(task, scene, [seed + p for p in pairs])
+        K = np.broadcast_to(
+            intrinsics(task.fovy_deg, config.resolution), (*cameras.shape[:2], 3, 3)
+        )
+        done = rollout(
+            act, task, scene, engine, renderer, start, K, cameras, config.action_space, tick=tick  # type: ignore[arg-type]
+        )
+        azimuth, elevation, distance = (
+            np.asarray(x) for x in spherical(cameras[:, 0], np.array(task.cameras.centre))
+        )
+        return [
+            {
+                "task": config.task,
+                "scene": config.scene,
+                "run": run,
+                "policy": config.policy,
+                "conditioning": config.conditioning,
+                "seed": config.seed,
+                "step": step,
+                "split": split,
+                "pair": pair,
+                "success": bool(done.success[i]),
+                "status": "ok" if done.ok[i] else "error",
+                "steps": int(done.steps[i]),
+                "azimuth_deg": float(np.rad2deg(azimuth[i])),
+                "elevation_deg": float(np.rad2deg(elevation[i])),
+                "distance": float(distance[i]),
+                "camera": cameras[i].tolist(),
+                "renderer": Renderer.identity(),
+                "width": self.width,
+                "episode_seed": seed + pair,
+            }
+            for i, pair in enumerate(pairs)
+        ], done
+
+    def clips(self, done: Rollouts, split: str, pairs: Sequence[int]) -> list[np.ndarray]:
+        """Videos of rollouts as their first camera saw them, uint8 [T, H, W, 3] each."""
+        task, scene, _, _ = self._parts
+        seed, cameras = self._pairs(split, pairs)
+        renderer = Renderer(scene, VIDEO_PIXELS, varied=task.varied)
+        start = starts(task, scene, [seed + p for p in pairs])
+        K = intrinsics(task.fovy_deg, VIDEO_PIXELS)
+        clips = []
+        for i in range(len(pairs)):
+            qpos = done.qpos[: done.steps[i] + 1 : VIDEO_STRIDE, i]
+            several = (len(qpos), 1, 1)
+            view = View(
+                qpos=qpos,
+                geom_size=np.tile(start.geom_size[i], several),
+                fixtures=np.tile(start.fixtures[i], several),
+                K=np.tile(K, several),
+                world_from_camera=np.tile(cameras[i, 0], several),
+            )
+            clips.append(renderer.rgb(view))
+        return clips
+
+    def sight(self, split: str, pair: int) -> tuple[np.ndarray, np.ndarray]:
+        """What a policy sees at a pair's start: picture uint8 [H, W, 3] and ray-map [H, W, 6]."""
+        task, scene, _, renderer = self._parts
+        seed, cameras = self._pairs(split, [pair])
+        start = starts(task, scene, [seed + pair])
+        K = intrinsics(task.fovy_deg, self.config.resolution)[None]
+        view = View(start.qpos, start.geom_size, start.fixtures, K, cameras[:, 0])
+        size = self.config.resolution
+        camera = Camera(K[0], cameras[0, 0], size, size)
+        rays = camera.in_frame(np.linalg.inv(scene.world_from_base)).plucker()
+        return renderer.rgb(view)[0], np.asarray(rays)
+
+    def _pairs(self, split: str, pairs: Sequence[int]) -> tuple[int, np.ndarray]:
+        """First episode seed, and cameras [B, V, 4, 4]: pair p has poses V p to V p + V - 1."""
+        task = self._parts[0]
+        first, camera_seed = SPLITS[split]
+        views = self.config.views
+        poses = sample_poses(task.cameras, views * (max(pairs) + 1), camera_seed)
+        return first, poses.reshape(-1, views, 4, 4)[list(pairs)]
+
+
+def _padded(act: Any, params: Any, width: int, seed: int) -> Any:
+    """The policy on batches of exactly `width`, the last episode repeated."""
+    root = jax.random.key(seed)
+
+    def call(obs: dict[str, np.ndarray], number: int) -> np.ndarray:
+        count = len(obs["image"])
+        full = {k: np.concatenate([v, np.repeat(v[-1:], width - count, 0)]) for k, v in obs.items()}
+        return np.asarray(act(params, full, jax.random.fold_in(root, number)))[:count]
+
+    return call
+
+
+def evaluate(
+    evaluator: Evaluator,
+    policy: Policy,
+    params: Any,
+    folder: Path,
+    *,
+    step: int,
+    split: str = "test",
+    pairs: int = 50,
+    videos: int = 0,
+    console: Console | None = None,
+) -> Estimate:
+    """Runs the pairs of a checkpoint that have no row yet, and writes rows, and a video.
+
+    Args:
+        evaluator: of the run's task.
+        policy: the policy.
+        params: the checkpoint's parameters.
+        folder: of the run.
+        step: of the checkpoint.
+        split: which pairs.
+        pairs: how many, from number 0.
+        videos: rollouts shown in a video; only those that are run now can be.
+        console: for progress.
+
+    Returns:
+        The success rate over the pairs, with its interval.
+    """
+    file = folder / "eval" / "rows.jsonl"
+    file.parent.mkdir(parents=True, exist_ok=True)
+
+    def finished() -> list[Row]:
+        rows = read_jsonl(file)
+        same = {"step": step, "split": split, "width": evaluator.width}
+        return [
+            r
+            for r in rows
+            if r["status"] == "ok" and r["pair"] < pairs and all(r[k] == v for k, v in same.items())
+        ]
+
+    have = {r["pair"] for r in finished()}
+    todo = [p for p in range(pairs) if p not in have]
+    chunks = [todo[i : i + evaluator.width] for i in range(0, len(todo), evaluator.width)]
+    horizon = make_task(evaluator.config.task).horizon
+    with progress(console, "evaluating", horizon * len(chunks)) as advance:
+        for number, some in enumerate(chunks):
+            steps = 0
+
+            def tick() -> None:
+                nonlocal steps
+                steps += 1
+                advance()
+
+            rows, done = evaluator.run(
+                policy, params, split, some, step=step, run=folder.name, tick=tick
+            )
+            advance(horizon - steps)
+            append_jsonl(file, *rows, fsync=True)
+            if number == 0 and videos:
+                shown = some[:videos]
+                clips = evaluator.clips(done, split, shown)
+                film = grid(clips, rows=rows[: len(shown)])
+                (folder / "videos").mkdir(exist_ok=True)
+                write_video(folder / "videos" / f"{split}-{step:06d}.mp4", film, fps=10)
+    return success_rate(finished())
+
+
+def main() -> None:
+    """The command line."""
+    config = cli(EvaluateConfig)
+    console = Console()
+    inputs = load_policy_inputs(config.run, config.step)
+    policy = rebuild_policy(inputs)
+    evaluator = Evaluator(inputs.config, config.width)
+    folder = Path(config.run)
+    estimate = evaluate(
+        evaluator,
+        policy,
+        inputs.params,
+        folder,
+        step=inputs.step,
+        split=config.split,
+        pairs=config.pairs,
+        videos=config.videos,
+        console=console,
+    )
+    rows = [
+        r
+        for r in read_jsonl(folder / "eval" / "rows.jsonl")
+        if r["step"] == inputs.step and r["split"] == config.split
+    ]
+    write_plots(folder / "plots", read_jsonl(folder / "metrics.jsonl"), rows)
+    console.print(f"Success on {config.pairs} {config.split} pairs at step {inputs.step}: {estimate}")
+    console.print(f"Report: {write_report(folder)}")
+
+
+if __name__ == "__main__":
+    run_main(main)

@@ -1,0 +1,217 @@
+"""`python -m jaxcam.train`: demonstrations, frames, training, evaluation and a report, in one go.
+
+Whatever exists is used; whatever was interrupted goes on when the same command is run again.
+"""
+
+import dataclasses
+import functools
+import logging
+import shlex
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from jaxcam.config import CollectConfig, TrainConfig, cli, resolve
+from jaxcam.errors import run_main
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from jaxcam.data import Dataset
+    from jaxcam.models import Policy
+    from jaxcam.rundir import Interrupt, RunDir
+    from jaxcam.state import TrainState
+
+VIDEOS = 16
+"""Rollouts shown in the final video."""
+
+
+def train(config: TrainConfig, console: "Console | None" = None) -> int:
+    """Trains one run from wherever it stands to its report.
+
+    Args:
+        config: settings; unset ones are filled from the preset.
+        console: for progress; silent when None.
+
+    Returns:
+        The process's exit code: 0, or 130 or 143 when a signal stopped it after saving.
+    """
+    from jaxcam.rundir import RunDir, interrupts
+
+    config = resolve(config)
+    with RunDir.open(config) as run, interrupts() as stop:
+        dataset = _dataset(config, console)
+        policy = _policy(config, dataset)
+        state = _fit(config, run, dataset, policy, stop, console)
+        if stop:
+            if console:
+                console.print(
+                    f"Stopped at update {int(state.step)} and saved. To go on, run the same "
+                    f"command again:\n  {shlex.join(['python', '-m', 'jaxcam.train', *sys.argv[1:]])}"
+                )
+            return stop.exit_code
+        _finish(config, run, policy, state, console)
+    return 0
+
+
+def collect_config(config: TrainConfig) -> CollectConfig:
+    """The dataset a run trains on; every training seed shares it."""
+    names = [f.name for f in dataclasses.fields(CollectConfig) if f.name != "seed"]
+    return CollectConfig(**{name: getattr(config, name) for name in names})
+
+
+def _dataset(config: TrainConfig, console: "Console | None") -> "Dataset":
+    from jaxcam.collect import collect
+    from jaxcam.data import make_dataset
+    from jaxcam.frames import load_frames
+    from jaxcam.sim import make_task
+    from jaxcam.sim.scene import build_scene
+
+    demos = collect(collect_config(config), console)
+    frames = load_frames(demos, config.resolution, console)
+    scene = build_scene(make_task(config.task).objects(), config.scene)  # type: ignore[arg-type]
+    return make_dataset(demos, frames, config.action_space, scene)  # type: ignore[arg-type]
+
+
+def _policy(config: TrainConfig, dataset: "Dataset") -> "Policy":
+    from jaxcam.models import PolicySpec, make_policy, policy_settings
+
+    settings = policy_settings(config)
+    spec = PolicySpec(
+        action_dim=dataset.actions.shape[-1],
+        proprio_dim=dataset.proprio.shape[-1],
+        views=config.views,
+        height=config.resolution,
+        width=config.resolution,
+        chunk=settings.chunk,
+    )
+    return make_policy(settings, spec, dataset.stats())
+
+
+def _fit(
+    config: TrainConfig,
+    run: "RunDir",
+    dataset: "Dataset",
+    policy: "Policy",
+    stop: "Interrupt",
+    console: "Console | None",
+) -> "TrainState":
+    """Updates from the newest whole checkpoint to the last step."""
+    import jax
+    import numpy as np
+
+    from jaxcam.augment import random_crop
+    from jaxcam.checkpoint import Checkpoints, make_side
+    from jaxcam.data import stacked_batches
+    from jaxcam.progress import progress
+    from jaxcam.state import check_finite, init_state, make_optimizer, make_train_chunk
+
+    root, tx = jax.random.key(config.seed), make_optimizer(config)
+    crop = functools.partial(random_crop, smallest=config.crop_min)
+    update = make_train_chunk(policy.loss, tx, augment=crop, ema=config.ema)
+    validation_loss = jax.jit(lambda params, batch: policy.loss(params, batch, None)[0])
+    held_out = dataset.validation(policy.spec.chunk, config.views)
+    side = make_side(
+        config,
+        settings=policy.config,
+        spec=policy.spec,
+        stats=dataset.stats(),
+        data=dataset.fingerprint,
+    )
+    with Checkpoints(run.checkpoints, keep=config.keep) as checkpoints:
+        state = init_state(policy.init, tx, root, ema=config.ema > 0)
+        if restored := checkpoints.restore_latest(state, expect=side):
+            state = restored.state
+            run.rewind(int(state.step))
+        first = int(state.step)
+        batches = stacked_batches(
+            dataset, config.seed, first, config.steps, config.steps_per_call, config.batch,
+            views=config.views, chunk=policy.spec.chunk,
+        )  # fmt: skip
+        began, recent = time.perf_counter(), []
+        with progress(console, "training", config.steps, done=first) as advance:
+            for step, batch in batches:
+                state, metrics = update(state, batch, root)
+                recent.append(metrics)
+                done = step + config.steps_per_call
+                if done % config.log_every == 0 or done == config.steps:
+                    check_finite(state)
+                    means = jax.tree.map(lambda *x: float(np.mean(np.concatenate(x))), *recent)
+                    row = {"step": done, **means, "seconds": time.perf_counter() - began}
+                    if done % config.eval_every == 0 or done == config.steps:
+                        row["val_loss"] = float(validation_loss(state.eval_params, held_out))
+                    run.log(row)
+                    recent = []
+                    advance(0, note=f"loss {row['loss']:.3f}")
+                if done % config.save_every == 0 or done == config.steps or stop:
+                    checkpoints.save(state, side)
+                advance(config.steps_per_call)
+                if stop:
+                    batches.close()
+                    break
+    return state
+
+
+def _finish(
+    config: TrainConfig,
+    run: "RunDir",
+    policy: "Policy",
+    state: "TrainState",
+    console: "Console | None",
+) -> None:
+    """Evaluates the last checkpoint, draws, and writes the report."""
+    from jaxcam.camera_plots import ray_picture
+    from jaxcam.evaluate import Evaluator, evaluate
+    from jaxcam.html import write_report
+    from jaxcam.plot_style import save
+    from jaxcam.plots import write_plots
+    from jaxcam.rundir import read_jsonl
+
+    evaluator = Evaluator(config)
+    step = int(state.step)
+    estimate = evaluate(
+        evaluator,
+        policy,
+        state.eval_params,
+        run.path,
+        step=step,
+        pairs=config.pairs,
+        videos=VIDEOS,
+        console=console,
+    )
+    metrics = read_jsonl(run.metrics)
+    if not any(r["step"] == step and "success_rate" in r for r in metrics):
+        run.log(
+            {
+                "step": step,
+                "success_rate": estimate.value,
+                "low": estimate.low,
+                "high": estimate.high,
+                "pairs": estimate.clusters,
+            }
+        )
+    rows = [r for r in read_jsonl(run.path / "eval" / "rows.jsonl") if r["step"] == step]
+    write_plots(run.path / "plots", read_jsonl(run.metrics), rows)
+    save(ray_picture(*evaluator.sight("test", 0)), run.path / "pictures" / "rays.png")
+    report = write_report(run.path)
+    if console:
+        console.print(f"Success on {config.pairs} held-out pairs: {estimate}")
+        console.print(f"Report: {report}")
+
+
+def main() -> None:
+    """The command line."""
+    config = cli(TrainConfig, prog="python -m jaxcam.train")
+    from rich.console import Console
+    from rich.logging import RichHandler
+
+    console = Console()
+    logging.basicConfig(
+        level=logging.WARNING, format="%(message)s", handlers=[RichHandler(console=console)]
+    )
+    sys.exit(train(config, console))
+
+
+if __name__ == "__main__":
+    run_main(main)
