@@ -81,7 +81,9 @@ def _fill(writer: DemoWriter, task: Task, scene: Scene, console: Console | None)
     header = writer.header
     total = header.train + header.valid
     windows = stair(header.train, header.n, header.m)
-    held_out = np.arange(len(header.world_from_camera) - header.valid, len(header.world_from_camera))
+    held_out = np.arange(
+        len(header.world_from_camera) - header.valid, len(header.world_from_camera)
+    )
     cameras = [*windows, *held_out[:, None]]
     engine = NativeEngine(scene, "osc_pose", varied=task.varied)
     seeds = range(FIRST_SEED + 1_000_000 * header.seed, FIRST_SEED + 1_000_000 * (header.seed + 1))
@@ -126,7 +128,8 @@ def run_expert(task: Task, scene: Scene, engine: Engine, seeds: list[int]) -> li
     """
     start = starts(task, scene, seeds)
     state = engine.reset(start)
-    sights = [Sight(*x) for x in zip(*_seen(state), strict=True)]
+    rngs = [task.rng(seed) for seed in seeds]
+    sights = [Sight(*x) for x in zip(*_seen(state), rngs, strict=True)]
     experts = [task.expert(scene, sight) for sight in sights]
     trace: list[State] = [state]
     commands: list[np.ndarray] = []

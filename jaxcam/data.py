@@ -99,7 +99,10 @@ class Dataset:
         t = np.floor(rng.random(self.train) * self.lengths[order]).astype(int)
         draws = rng.random((self.train, max(map(len, self.windows))))
         cameras = np.stack(
-            [np.argsort(r[: len(self.windows[d])])[:views] for r, d in zip(draws, order, strict=True)]
+            [
+                np.argsort(r[: len(self.windows[d])])[:views]
+                for r, d in zip(draws, order, strict=True)
+            ]
         )
         return order, t, cameras
 

@@ -83,7 +83,19 @@ class Header:
 
     def identity(self) -> dict[str, Any]:
         """What two files must share to be parts of one dataset."""
-        keys = ("task", "scene", "n", "m", "seed", "train", "valid", "fovy_deg", "nq", "nv", "format")
+        keys = (
+            "task",
+            "scene",
+            "n",
+            "m",
+            "seed",
+            "train",
+            "valid",
+            "fovy_deg",
+            "nq",
+            "nv",
+            "format",
+        )
         return {k: getattr(self, k) for k in keys}
 
 

@@ -100,7 +100,16 @@ class Evaluator:
             intrinsics(task.fovy_deg, config.resolution), (*cameras.shape[:2], 3, 3)
         )
         done = rollout(
-            act, task, scene, engine, renderer, start, K, cameras, config.action_space, tick=tick  # type: ignore[arg-type]
+            act,
+            task,
+            scene,
+            engine,
+            renderer,
+            start,
+            K,
+            cameras,
+            config.action_space,
+            tick=tick,  # type: ignore[arg-type]
         )
         azimuth, elevation, distance = (
             np.asarray(x) for x in spherical(cameras[:, 0], np.array(task.cameras.centre))
@@ -276,7 +285,9 @@ def main() -> None:
         if r["step"] == inputs.step and r["split"] == config.split
     ]
     write_plots(folder / "plots", read_jsonl(folder / "metrics.jsonl"), rows)
-    console.print(f"Success on {config.pairs} {config.split} pairs at step {inputs.step}: {estimate}")
+    console.print(
+        f"Success on {config.pairs} {config.split} pairs at step {inputs.step}: {estimate}"
+    )
     console.print(f"Report: {write_report(folder)}")
 
 

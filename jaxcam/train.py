@@ -9,8 +9,7 @@ import logging
 import shlex
 import sys
 import time
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from jaxcam.config import CollectConfig, TrainConfig, cli, resolve
 from jaxcam.errors import run_main
@@ -46,9 +45,10 @@ def train(config: TrainConfig, console: "Console | None" = None) -> int:
         state = _fit(config, run, dataset, policy, stop, console)
         if stop:
             if console:
+                command = shlex.join(["python", "-m", "jaxcam.train", *sys.argv[1:]])
                 console.print(
                     f"Stopped at update {int(state.step)} and saved. To go on, run the same "
-                    f"command again:\n  {shlex.join(['python', '-m', 'jaxcam.train', *sys.argv[1:]])}"
+                    f"command again:\n  {command}"
                 )
             return stop.exit_code
         _finish(config, run, policy, state, console)

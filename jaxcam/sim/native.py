@@ -14,8 +14,11 @@ from jaxcam.sim.controllers import ArmState
 from jaxcam.sim.engine import Command, ControllerName, Start, State
 from jaxcam.sim.scene import Scene
 
-_BAD = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL,
-        mujoco.mjtWarning.mjWARN_BADQACC)
+_BAD = (
+    mujoco.mjtWarning.mjWARN_BADQPOS,
+    mujoco.mjtWarning.mjWARN_BADQVEL,
+    mujoco.mjtWarning.mjWARN_BADQACC,
+)
 
 
 class NativeEngine:

@@ -26,7 +26,6 @@ _SKY = (0.75, 0.80, 0.85, 1.0)
 """Colour where no geom is hit."""
 
 
-
 def _start_warp() -> None:
     """Starts Warp without its greeting and, on a machine without CUDA, its complaint."""
     wp.config.log_level = wp.LOG_ERROR

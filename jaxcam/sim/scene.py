@@ -102,9 +102,7 @@ def build_scene(objects: Sequence[Any], name: SceneName) -> Scene:
     robot.set_base_xpos(base)
     arena = TableArena(table_full_size=TABLE_SIZE, table_offset=(0, 0, TABLE_TOP))
     arena.set_origin([0, 0, 0])
-    task = ManipulationTask(
-        mujoco_arena=arena, mujoco_robots=[robot], mujoco_objects=list(objects)
-    )
+    task = ManipulationTask(mujoco_arena=arena, mujoco_robots=[robot], mujoco_objects=list(objects))
     xml = task.get_xml()
     full = mujoco.MjModel.from_xml_string(xml)
     names = tuple(o.name for o in objects)

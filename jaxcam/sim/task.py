@@ -27,6 +27,8 @@ class Sight:
     grip_position: np.ndarray
     grip_rotation: np.ndarray
     qpos: np.ndarray
+    rng: np.random.Generator
+    """The episode's own, for what an expert does by chance."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ class Task(ABC):
 
     @abstractmethod
     def objects(self) -> list[Any]:
-        """robosuite objects on the table."""
+        """Robosuite objects on the table."""
 
     @abstractmethod
     def place(self, scene: Scene, rng: np.random.Generator, qpos: np.ndarray) -> np.ndarray:
@@ -74,6 +76,10 @@ class Task(ABC):
     @abstractmethod
     def expert(self, scene: Scene, sight: Sight) -> Iterator[Aim]:
         """Shows the task: yields an aim per control step, `sight` being renewed in between."""
+
+    def rng(self, seed: int) -> np.random.Generator:
+        """Chance of episode `seed`'s expert."""
+        return np.random.default_rng([seed, 2])
 
     def start(self, scene: Scene, seed: int) -> Start:
         """The start of episode `seed`: objects, arm and, in randomised scenes, table and room.

@@ -14,6 +14,9 @@ HALF_SIZE = (0.020, 0.022)
 """Range (m) of the cube's half-sizes, each side drawn by itself (robosuite, the authors)."""
 PLACEMENT = 0.2
 """Half-range (m) of the cube's x and y on the table (authors' LiftRand)."""
+GRASP, HOVER, FUNNEL = -0.004, 0.10, 0.012
+"""The expert's heights over the cube's centre (m) at the grasp and, at most, on the way there, and
+the distance to the side (m) within which it goes all the way down."""
 LIFTED = 0.04
 """Height (m) of the cube's centre above the table that counts as lifted (robosuite)."""
 
@@ -47,15 +50,19 @@ class Lift(Task):
         return qpos[..., scene.qpos_of("cube") + 2] > TABLE_TOP + LIFTED
 
     def expert(self, scene: Scene, sight: Sight) -> Iterator[Aim]:
-        """Over the cube, down, close, up; the gripper keeps the orientation it starts with."""
+        """Down a funnel onto the cube, close, up; the gripper keeps the orientation it starts with.
+
+        The farther off to the side the gripper is, the higher it stays, so that it neither hits
+        the cube nor loses it when it has to correct.
+        """
         cube = slice(scene.qpos_of("cube"), scene.qpos_of("cube") + 3)
         rotation = sight.grip_rotation.copy()
 
-        def above(height: float) -> np.ndarray:
-            return sight.qpos[cube] + [0, 0, height]
+        def funnel() -> np.ndarray:
+            aside = np.linalg.norm((sight.grip_position - sight.qpos[cube])[:2])
+            return sight.qpos[cube] + [0, 0, np.clip(3 * (aside - FUNNEL), GRASP, HOVER)]
 
-        yield from reach(sight, lambda: above(0.08), rotation, OPEN, tolerance=0.02)
-        yield from reach(sight, lambda: above(-0.005), rotation, OPEN, tolerance=0.01)
-        place = above(-0.005)
-        yield from hold(place, rotation, CLOSE, steps=10)
-        yield from reach(sight, lambda: place + [0, 0, 0.15], rotation, CLOSE, tolerance=0.02)
+        yield from reach(sight, funnel, rotation, OPEN, tolerance=0.008, stray=0.06)
+        place = sight.qpos[cube] + [0, 0, GRASP]
+        yield from hold(place, rotation, CLOSE, steps=8)
+        yield from reach(sight, lambda: place + [0, 0, 0.12], rotation, CLOSE, tolerance=0.02)
