@@ -1,9 +1,10 @@
 """The paper's four action spaces, to and from absolute controller targets (section V-A4).
 
-Inside, an action is an absolute target per control step: a grip pose in the world (position, rotation
-vector) or joint angles, with the gripper's sign last. Delta spaces difference the targets that were
-commanded one after the other, the first against what was measured at the start; at run time deltas
-are accumulated from there. Rotations compose on SO(3): R_next = exp(delta) R, axes of the base.
+Inside, an action is an absolute target per control step: a grip pose in the world (position,
+rotation vector) or joint angles, with the gripper's sign last. Delta spaces difference the targets
+that were commanded one after the other, the first against what was measured at the start; at run
+time deltas are accumulated from there. Rotations compose on SO(3):
+R_next = exp(delta) R, axes of the base.
 """
 
 from typing import Literal, get_args
@@ -76,7 +77,8 @@ def decode(
         anchor: the last target commanded, at the start what was measured [B, 6] or [B, 7].
 
     Returns:
-        Targets [B, T, 6] or [B, T, 7], and gripper signs [B, T]. The last target is the next anchor.
+        Targets [B, T, 6] or [B, T, 7], and gripper signs [B, T]. The last target is the next
+        anchor.
     """
     moves, gripper = np.asarray(actions[..., :-1], float), np.asarray(actions[..., -1], float)
     if space.endswith("abs"):

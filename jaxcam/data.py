@@ -4,9 +4,10 @@ No iterator holds state: `index(seed, step)` names the samples of a step, so a r
 prefetch depth or another machine sees the same batches.
 """
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,8 @@ from jaxcam.rays import invert
 from jaxcam.rotations import matrix_from_quaternion, rotvec_from_matrix
 from jaxcam.sim.scene import Scene
 
-Batch = dict[str, np.ndarray]
+Batch = dict[str, Any]
+"""NumPy arrays by name, first axis the samples."""
 
 PREFETCH = 4
 """Calls' worth of batches made ready ahead by a thread."""
@@ -158,7 +160,7 @@ def make_dataset(
 
 
 def demo_actions(demo: Demo, space: ActionSpace, nq: int, arm: np.ndarray) -> np.ndarray:
-    """A demonstration's commands in an action space [T, A]; joint targets are the joints reached."""
+    """A demonstration's commands as actions [T, A]; joint targets are the joints reached."""
     qpos = demo.qpos(nq)
     if is_joint(space):
         return encode(space, qpos[1:, arm], demo.actions[:, -1], qpos[0, arm])
@@ -169,7 +171,7 @@ def demo_actions(demo: Demo, space: ActionSpace, nq: int, arm: np.ndarray) -> np
 
 def stacked_batches(
     dataset: Dataset, seed: int, first: int, last: int, per_call: int, batch: int, **sizes: int
-) -> Iterator[tuple[int, Batch]]:
+) -> Generator[tuple[int, Batch], None, None]:
     """Batches of steps `first` to `last`, `per_call` stacked for each compiled call.
 
     A thread reads ahead; it only makes what `index` names.

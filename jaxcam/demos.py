@@ -2,7 +2,7 @@
 
 A file holds no pictures; they are rendered from its states (`jaxcam.frames`). Layout::
 
-    data                    attrs: total, env_args (JSON), jaxcam (JSON: task, scene, n, m, versions)
+    data                    attrs: total, env_args (JSON), jaxcam (JSON: task, scene, n, m, ...)
     data/demo_<i>           attrs: num_samples, seed, cameras (rows of cameras/*)
       states  [T + 1, 1 + nq + nv]   time, qpos, qvel before each action, and after the last one
       actions [T, 7]                 commanded grip pose (m, rotation vector; world), gripper sign
@@ -132,12 +132,13 @@ class DemoWriter:
     @property
     def done(self) -> set[int]:
         """Indices of the demonstrations that are on disk."""
-        return {int(name.removeprefix("demo_")) for name in self._file["data"]}  # type: ignore[attr-defined]
+        data: Any = self._file["data"]
+        return {int(name.removeprefix("demo_")) for name in data}
 
     def append(self, index: int, demo: Demo) -> None:
         """Writes one demonstration and flushes: it survives whatever happens next."""
-        data = self._file["data"]
-        group = data.create_group(f"demo_{index}")  # type: ignore[union-attr]
+        data: Any = self._file["data"]
+        group = data.create_group(f"demo_{index}")
         arrays = {
             "states": demo.states,
             "actions": demo.actions,
@@ -194,10 +195,10 @@ class DemoWriter:
                 f"{self.part}: an unfinished file of other settings ({wrong}). Finish it with its "
                 "own settings, or delete it."
             )
-        data = self._file["data"]
-        for name in list(data):  # type: ignore[arg-type]
-            if "num_samples" not in data[name].attrs:  # type: ignore[index]
-                del data[name]  # type: ignore[attr-defined]
+        data: Any = self._file["data"]
+        for name in list(data):
+            if "num_samples" not in data[name].attrs:
+                del data[name]
 
 
 def _differences(found: dict[str, Any], wanted: dict[str, Any]) -> str:
@@ -260,7 +261,8 @@ def _read_header(path: Path, file: h5py.File) -> Header:
         about = json.loads(str(file["data"].attrs["jaxcam"]))
     except KeyError as error:
         raise DatasetError(
-            f"{path}: no jaxcam header; found {sorted(file)}. Expected the layout in jaxcam/demos.py."
+            f"{path}: no jaxcam header; found {sorted(file)}. Expected the layout in "
+            "jaxcam/demos.py."
         ) from error
     if about["format"] != FORMAT:
         raise DatasetError(f"{path}: format {about['format']}, but this jaxcam reads {FORMAT}.")

@@ -36,7 +36,6 @@ from jaxcam.video import grid, write_video
 SPLITS = {"test": (1_000_000, 23), "validation": (2_000_000, 5)}
 """First episode seed and camera seed of each set of pairs. `test` has the authors' released test
 cameras; settings are chosen on `validation`."""
-MOST_PAIRS = 100_000
 VIDEO_PIXELS = 160
 VIDEO_STRIDE = 2
 """Control steps per frame of a video."""
@@ -108,8 +107,8 @@ class Evaluator:
             start,
             K,
             cameras,
-            config.action_space,
-            tick=tick,  # type: ignore[arg-type]
+            config.action_space,  # type: ignore[arg-type]
+            tick=tick,
         )
         azimuth, elevation, distance = (
             np.asarray(x) for x in spherical(cameras[:, 0], np.array(task.cameras.centre))

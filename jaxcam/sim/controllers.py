@@ -1,9 +1,9 @@
 """Arm and gripper controllers, written once for NumPy and JAX.
 
-Every function takes arrays with any leading batch axes and works in the namespace of its input: the
-native engine runs it under NumPy in float64, MJX under `jax.jit`. Control laws, gains and update
-order follow robosuite 1.5.2 (`controllers/parts/arm/osc.py`, `controllers/parts/generic/joint_pos.py`,
-`models/grippers/panda_gripper.py`), checked against trajectories recorded from it
+Every function takes arrays with any leading batch axes and works in the namespace of its input:
+the native engine runs it under NumPy in float64, MJX under `jax.jit`. Control laws, gains and
+update order follow robosuite 1.5.2 (`controllers/parts/arm/osc.py`, `controllers/parts/generic/
+joint_pos.py`, `models/grippers/panda_gripper.py`), checked against trajectories recorded from it
 (`tests/golden/make_robosuite_osc.py`).
 """
 
@@ -85,7 +85,7 @@ def joint_position(arm: ArmState, target: Array) -> Array:
 
 
 def gripper_command(closed: Array, action: Array) -> Array:
-    """Moves the gripper's command [-1 open, 1 closed] one control step towards the action's sign."""
+    """Moves the gripper's command [-1 open, 1 closed] one control step by the action's sign."""
     xp = array_namespace(closed)
     return xp.clip(closed + GRIPPER_SPEED * xp.sign(action), -1.0, 1.0)
 

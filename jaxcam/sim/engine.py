@@ -64,5 +64,5 @@ class Engine(Protocol):
         ...
 
     def step(self, state: State, command: Command, active: Array | None = None) -> State:
-        """Advances the worlds one control step; where `active` [B] is False they stay as they are."""
+        """Advances the worlds one control step; those not `active` [B] stay as they are."""
         ...

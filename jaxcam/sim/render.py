@@ -1,8 +1,8 @@
 """Batched pictures of a scene by MJX's Warp ray tracer, on CUDA and on the CPU.
 
-It needs the wheel alone: no display, no OpenGL. Scene poses, camera poses and intrinsics are arrays,
-one set per world, so a batch of worlds is a batch of cameras. Nothing is simulated here, so only
-the render and bounding-volume kernels are ever compiled (once, then cached on disk by Warp).
+It needs the wheel alone: no display, no OpenGL. Scene poses, camera poses and intrinsics are
+arrays, one set per world, so a batch of worlds is a batch of cameras. Nothing is simulated here, so
+only the render and bounding-volume kernels are ever compiled (once, then cached on disk by Warp).
 """
 
 import copy

@@ -17,7 +17,7 @@ from jaxcam.sim.scene import Scene
 from jaxcam.sim.task import Task
 
 Act = Callable[[dict[str, np.ndarray], int], np.ndarray]
-"""`act(obs, call)`: observations of all episodes and the number of the call, to chunks [B, T, A]."""
+"""`act(obs, call)`: observations of all episodes and number of the call, to chunks [B, T, A]."""
 
 
 @dataclass(frozen=True)

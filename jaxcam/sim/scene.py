@@ -97,7 +97,7 @@ def build_scene(objects: Sequence[Any], name: SceneName) -> Scene:
     """
     robot = Panda()
     robot.add_base(robot_base_factory(robot.default_base, idn=0))
-    robot.add_gripper(PandaGripper(idn="0_right"))
+    robot.add_gripper(PandaGripper(idn="0_right"))  # type: ignore[arg-type]
     base = np.asarray(robot.base_xpos_offset["table"](TABLE_SIZE[0]), float)
     robot.set_base_xpos(base)
     arena = TableArena(table_full_size=TABLE_SIZE, table_offset=(0, 0, TABLE_TOP))
@@ -128,7 +128,7 @@ def build_scene(objects: Sequence[Any], name: SceneName) -> Scene:
 
 
 def _physics_model(xml: str, full: mujoco.MjModel, objects: tuple[str, ...]) -> mujoco.MjModel:
-    """Keeps colliders of gripper, objects, table and floor; inertias stay those of the full model."""
+    """Keeps colliders of gripper, objects, table and floor, and the full model's inertias."""
     spec = _open(xml, full)
     for geom in list(spec.geoms):
         keep = geom.name.startswith((*_COLLIDES, *(f"{o}_" for o in objects)))
@@ -169,7 +169,7 @@ def _visual_model(xml: str, full: mujoco.MjModel, name: SceneName) -> mujoco.MjM
         )
         spec.delete(geom)
     _light(room)
-    # The camera's pose and intrinsics come from arrays; a sensor size switches MuJoCo to intrinsics.
+    # Pose and intrinsics come from arrays; a sensor size switches MuJoCo to intrinsics.
     spec.worldbody.add_camera(name="camera", sensor_size=[1, 1], focal_length=[1, 1])
     _drop_unused_assets(spec)
     return spec.compile()

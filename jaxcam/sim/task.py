@@ -15,7 +15,7 @@ from jaxcam.sim.scene import TABLE_TOP, Scene
 START_JOINT_NOISE = 0.02
 """Standard deviation (rad) of the arm's joint angles at the start: robosuite's default."""
 TABLE_SHIFT = 0.2
-"""Half-range (m) of the table top's shift against the robot in randomised scenes (authors' code)."""
+"""Half-range (m) of the table's shift against the robot in randomised scenes (authors' code)."""
 ROOM_SHIFT = 2.0
 """Half-range (m) of the floor's shift against the robot in randomised scenes (authors' code)."""
 

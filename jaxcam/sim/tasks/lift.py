@@ -65,4 +65,5 @@ class Lift(Task):
         yield from reach(sight, funnel, rotation, OPEN, tolerance=0.008, stray=0.06)
         place = sight.qpos[cube] + [0, 0, GRASP]
         yield from hold(place, rotation, CLOSE, steps=8)
-        yield from reach(sight, lambda: place + [0, 0, 0.12], rotation, CLOSE, tolerance=0.02)
+        above = place + np.array([0, 0, 0.12])
+        yield from reach(sight, lambda: above, rotation, CLOSE, tolerance=0.02)
