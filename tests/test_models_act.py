@@ -76,8 +76,8 @@ def test_paper_has_the_parameters_of_the_authors_network():
     late, plain = (shapes(make_policy(c, spec, stats)) for c in (late, plain))
     assert count(late["vision"]["image"]) == 11_166_912
     assert count(late["vision"]["rays"]) == 3_926_400
-    assert count(late) == 45_185_672
-    assert count(plain) == 40_997_128
+    assert count(late) == 45_169_288
+    assert count(plain) == 40_980_744
     assert count(late) - count(plain) == 3_926_400 + 512 * 512
     assert {x.dtype for x in jax.tree.leaves(late)} == {jnp.dtype("float32")}
 

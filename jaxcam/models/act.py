@@ -103,7 +103,6 @@ class LatentEncoder(nnx.Module):
             dtype=dtype,
         )
         self.out = linear(width, 2 * config.latent_dim, rngs=rngs, dtype=dtype)
-        self.table = sine_table(2 + spec.chunk, width)
 
     def __call__(
         self, proprio: jax.Array, action: jax.Array, is_pad: jax.Array, *, key: Key
@@ -112,7 +111,8 @@ class LatentEncoder(nnx.Module):
         proprio, action = self.proprio(proprio)[:, None], self.action(action)
         x = jnp.concatenate([jnp.zeros_like(proprio), proprio, action], 1)
         keep = jnp.pad(~is_pad, ((0, 0), (2, 0)), constant_values=True)
-        x = self.encoder(x, jnp.asarray(self.table, x.dtype), key=key, keep=keep)
+        position = jnp.asarray(sine_table(*x.shape[1:]), x.dtype)
+        x = self.encoder(x, position, key=key, keep=keep)
         mean, log_variance = jnp.split(self.out(x[:, 0]).astype(jnp.float32), 2, -1)
         return mean, log_variance
 

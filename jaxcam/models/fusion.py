@@ -25,7 +25,7 @@ from jaxcam.errors import ConfigError, closest
 from jaxcam.models.layers import linear
 from jaxcam.models.policy import Obs, PolicySpec
 from jaxcam.models.resnet import RayEncoder, ResNet18, SmallEncoder, SmallRayEncoder
-from jaxcam.rays import plucker
+from jaxcam.rays import opengl_from_opencv, plucker
 
 CONDITIONINGS = ("none", "token", "early", "late", "keypoints")
 
@@ -125,13 +125,11 @@ def grid_rays(
     """Ray-map of every view on a grid that covers its image, [B*V, height, width, 6]."""
     image_height, image_width = obs["image"].shape[-3:-1]
     scale = np.array([[width / image_width], [height / image_height], [1.0]], np.float32)
-    rays = plucker(
-        obs["K"] * scale,
-        camera_poses(config, obs),
-        height,
-        width,
-        convention="authors" if authors else "jaxcam",
-    )
+    poses = camera_poses(config, obs)
+    convention = "jaxcam"
+    if authors:
+        poses, convention = opengl_from_opencv(poses), "authors"
+    rays = plucker(obs["K"] * scale, poses, height, width, convention=convention)
     return rays.reshape(-1, height, width, 6)
 
 
