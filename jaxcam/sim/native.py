@@ -106,16 +106,27 @@ class NativeEngine:
                 mujoco.mj_step1(world.model, world.data)
                 world.read(read, k)
             now = read.arm_state(arm)
-            if rotation is None:
-                torque = controllers.joint_position(now, target)
-            else:
-                torque = controllers.osc_pose(now, target[:, :3], rotation, rest)
+            try:
+                torque = self._torque(now, target, rotation, rest)
+            except np.linalg.LinAlgError:
+                # MuJoCo puts a world that diverges to its zero pose, where the arm is singular.
+                for k in np.flatnonzero([world.has_diverged() for world in worlds]):
+                    read.stand_in(k)
+                torque = self._torque(now, target, rotation, rest)
             torque = np.clip(torque, *self._limits)
             for k, world in enumerate(worlds):
                 world.arm_ctrl[:] = torque[k]
                 mujoco.mj_step2(world.model, world.data)
         for world, i in zip(worlds, share, strict=True):
             world.store(state, i)
+
+    @staticmethod
+    def _torque(
+        now: ArmState, target: np.ndarray, rotation: np.ndarray | None, rest: np.ndarray
+    ) -> np.ndarray:
+        if rotation is None:
+            return controllers.joint_position(now, target)
+        return controllers.osc_pose(now, target[:, :3], rotation, rest)
 
 
 class _World:
@@ -124,6 +135,7 @@ class _World:
     def __init__(self, scene: Scene, *, own_model: bool) -> None:
         self.model = copy.copy(scene.physics) if own_model else scene.physics
         self.data = mujoco.MjData(self.model)
+        self._scene_model = scene.physics
         self._site = scene.grip_site
         self._size: np.ndarray | None = None
         data = self.data
@@ -141,7 +153,9 @@ class _World:
         self._size = np.array(sizes, float)
         for geom, half in zip(geoms, self._size, strict=True):
             body = self.model.geom_bodyid[geom]
-            density = self.model.body_mass[body] / (8 * self.model.geom_size[geom].prod())
+            # Of the scene's model, not the last size's: a world's past must leave no rounding.
+            drawn = self._scene_model
+            density = drawn.body_mass[body] / (8 * drawn.geom_size[geom].prod())
             self.model.geom_size[geom] = half
             self.model.geom_rbound[geom] = np.linalg.norm(half)
             self.model.geom_aabb[geom, 3:] = half
@@ -156,10 +170,12 @@ class _World:
         self.data.qvel[:] = state.qvel[i]
         self.data.qacc_warmstart[:] = state.warmstart[i]
 
+    def has_diverged(self) -> bool:
+        return any(self.data.warning[w].number for w in _BAD)
+
     def store(self, state: State, i: int) -> None:
         data = self.data
-        bad = any(data.warning[w].number for w in _BAD) or not np.isfinite(data.qpos).all()
-        state.ok[i] = not bad
+        state.ok[i] = not self.has_diverged() and bool(np.isfinite(data.qpos).all())
         state.qpos[i], state.qvel[i] = data.qpos, data.qvel
         state.warmstart[i] = data.qacc_warmstart
         mujoco.mj_kinematics(self.model, data)
@@ -181,6 +197,11 @@ class _ArmBuffers:
         self.jacobian = np.empty((n, 6, nv))
         self.jacp, self.jacr = self.jacobian[:, :3], self.jacobian[:, 3:]
         self.mass = np.empty((n, nv, nv))
+
+    def stand_in(self, k: int) -> None:
+        """Makes row `k` one that any controller can solve; its world is lost."""
+        self.mass[k] = np.eye(self.mass.shape[-1])
+        self.jacobian[k] = np.eye(*self.jacobian.shape[-2:])
 
     def arm_state(self, arm: np.ndarray) -> ArmState:
         first, last = int(arm[0]), int(arm[-1]) + 1

@@ -1,0 +1,57 @@
+"""Shared fixtures: Lift's scenes, and a tiny dataset collected once per session."""
+
+import pytest
+
+TINY = {"demos": 4, "validation": 2}
+"""Settings of the session's dataset."""
+PIXELS = 24
+"""Side of its pictures."""
+
+
+@pytest.fixture(scope="session")
+def lift():
+    from jaxcam.sim.tasks.lift import Lift
+
+    return Lift()
+
+
+@pytest.fixture(scope="session")
+def scenes(lift):
+    """Both scenes of Lift by name."""
+    from jaxcam.sim.scene import SCENES, build_scene
+
+    return {name: build_scene(lift.objects(), name) for name in SCENES}
+
+
+@pytest.fixture(scope="session")
+def scene(scenes):
+    return scenes["randomized"]
+
+
+@pytest.fixture(scope="session")
+def renderer(lift, scene):
+    """A renderer of the randomised scene whose batches are small, so that they get padded."""
+    from jaxcam.sim.render import Renderer
+
+    return Renderer(scene, PIXELS, varied=lift.varied, batch=4, workers=1)
+
+
+@pytest.fixture(scope="session")
+def data_dir(tmp_path_factory):
+    return tmp_path_factory.mktemp("data")
+
+
+@pytest.fixture(scope="session")
+def demos(data_dir):
+    """Four training and two validation demonstrations. Do not write to `demos.path`."""
+    from jaxcam.collect import collect
+    from jaxcam.config import CollectConfig
+
+    return collect(CollectConfig(**TINY, data_dir=str(data_dir)))
+
+
+@pytest.fixture(scope="session")
+def frames(demos):
+    from jaxcam.frames import load_frames
+
+    return load_frames(demos, PIXELS)

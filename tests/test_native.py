@@ -1,0 +1,148 @@
+"""A batch of worlds is its worlds one by one, whatever the width, the threads and the past."""
+
+import numpy as np
+import pytest
+
+from jaxcam.sim.engine import Command, Start
+from jaxcam.sim.native import NativeEngine
+from jaxcam.sim.scene import TABLE_TOP
+from jaxcam.sim.task import starts
+
+STEPS = 12
+
+
+def commands(lift, scene, state, steps=STEPS):
+    """Targets that press the open fingers around the cube: contacts, not only free motion."""
+    cube = state.qpos[:, scene.qpos_of("cube") :][:, :3]
+    way = np.linspace(0, 1, steps)[:, None, None]
+    position = state.grip_position + way * (cube - state.grip_position)
+    rotvec = np.broadcast_to([np.pi, 0, 0], position.shape)
+    gripper = np.where(np.arange(steps) < steps // 2, -1.0, 1.0)
+    return np.concatenate([position, rotvec], -1), gripper
+
+
+def run(engine, lift, scene, start, active=None, spoil=None, steps=STEPS):
+    """All states on the way."""
+    state = engine.reset(start)
+    targets, gripper = commands(lift, scene, state, steps)
+    states = [state]
+    for t in range(steps):
+        if spoil == t:
+            state.qvel[1, 3] = np.inf
+        command = Command(targets[t], np.full(len(start.qpos), gripper[t]))
+        state = engine.step(state, command, active)
+        states.append(state)
+    return states
+
+
+def rows(start, which):
+    return Start(*(x[which] for x in start))
+
+
+def same(a, b):
+    for name, x, y in zip(a._fields, a, b, strict=True):
+        np.testing.assert_array_equal(x, y, err_msg=name)
+
+
+@pytest.fixture(scope="module")
+def start(lift, scene):
+    found = starts(lift, scene, range(4))
+    cube = scene.qpos_of("cube")
+    found.qpos[:, cube : cube + 2] = [[0, 0], [0.02, -0.1], [-0.05, 0.1], [0.05, 0.03]]
+    return found
+
+
+@pytest.fixture(scope="module")
+def batch(lift, scene, start):
+    return run(NativeEngine(scene, varied=lift.varied, threads=2), lift, scene, start)
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_any_number_of_threads_gives_the_same_bits(lift, scene, start, batch, threads):
+    engine = NativeEngine(scene, varied=lift.varied, threads=threads)
+    for a, b in zip(run(engine, lift, scene, start), batch, strict=True):
+        same(a, b)
+
+
+def test_singles_equal_the_batch_bit_for_bit(lift, scene, start, batch):
+    engine = NativeEngine(scene, varied=lift.varied, threads=1)
+    for i in (0, 2):  # one engine for both: the second world comes after another one's past
+        for alone, together in zip(run(engine, lift, scene, rows(start, [i])), batch, strict=True):
+            same(alone, type(together)(*(x[[i]] for x in together)))
+    assert abs(batch[-1].qpos[0] - batch[0].qpos[0]).max() > 0.01
+
+
+def test_a_reset_forgets_everything(lift, scene, start):
+    engine = NativeEngine(scene, varied=lift.varied, threads=1)
+    first = run(engine, lift, scene, start, steps=4)
+    other = Start(start.qpos[::-1], start.geom_size[::-1], start.fixtures[::-1])
+    run(engine, lift, scene, other, steps=4)
+    for a, b in zip(run(engine, lift, scene, start, steps=4), first, strict=True):
+        same(a, b)
+
+
+def test_inactive_worlds_stay_as_they_are(lift, scene, start, batch):
+    engine = NativeEngine(scene, varied=lift.varied)
+    active = np.array([True, False, True, False])
+    states = run(engine, lift, scene, start, active)
+    for part, whole in zip(states, batch, strict=True):
+        for now, then, moving in zip(part, states[0], whole, strict=True):
+            np.testing.assert_array_equal(now[~active], then[~active])
+            np.testing.assert_array_equal(now[active], moving[active])
+
+
+def test_step_leaves_its_input_alone(lift, scene, start):
+    engine = NativeEngine(scene, varied=lift.varied)
+    state = engine.reset(start)
+    before = [np.copy(x) for x in state]
+    engine.step(state, Command(np.ones((4, 6)), np.ones(4)))
+    for a, b in zip(state, before, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_a_diverging_world_is_flagged_and_the_others_go_on(
+    lift, scene, start, batch, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    engine = NativeEngine(scene, varied=lift.varied)
+    states = run(engine, lift, scene, start, spoil=5)
+    assert states[5].ok.all()
+    for t in range(6, STEPS + 1):
+        assert states[t].ok.tolist() == [True, False, True, True]
+        others = [0, 2, 3]
+        np.testing.assert_array_equal(states[t].qpos[others], batch[t].qpos[others])
+    np.testing.assert_array_equal(states[-1].closed[1], states[6].closed[1])
+    assert np.isfinite(states[-1].grip_position).all()
+    assert engine.reset(start).ok.all()
+
+
+def test_cube_size_decides_mass_and_where_it_rests(lift, scene):
+    start = starts(lift, scene, range(3))
+    half = np.array([[0.020, 0.021, 0.022], [0.022, 0.022, 0.020], [0.02, 0.02, 0.0215]])
+    start.geom_size[:, 0] = half
+    start.qpos[:, scene.qpos_of("cube") + 2] = TABLE_TOP + half[:, 2] + 0.003
+    engine = NativeEngine(scene, varied=lift.varied)
+    state = engine.reset(start)
+    hover = Command(
+        np.concatenate([state.grip_position, np.tile([np.pi, 0, 0], (3, 1))], -1), -np.ones(3)
+    )
+    for _ in range(8):
+        state = engine.step(state, hover)
+    rest = state.qpos[:, scene.qpos_of("cube") + 2] - TABLE_TOP
+    np.testing.assert_allclose(rest, half[:, 2], atol=3e-4)
+    for world, h in zip(engine._worlds, half, strict=False):
+        cube = world.model.body("cube_main")
+        full = 2 * h
+        mass = scene.physics.body("cube_main").mass[0] * full.prod() / 0.042**3
+        np.testing.assert_allclose(cube.mass[0], mass, rtol=1e-6)
+        inertia = mass / 12 * ((full**2).sum() - full**2)
+        np.testing.assert_allclose(cube.inertia, inertia, rtol=1e-6)
+
+
+def test_joint_controller_reaches_its_target(lift, scene, start):
+    engine = NativeEngine(scene, "joint_position", varied=lift.varied)
+    state = engine.reset(start)
+    target = state.qpos[:, scene.arm] + 0.05
+    for _ in range(30):
+        state = engine.step(state, Command(target, -np.ones(4)))
+    np.testing.assert_allclose(state.qpos[:, scene.arm], target, atol=5e-3)
