@@ -83,8 +83,9 @@ def rollout(
         }
         chunk = np.asarray(act(obs, call))[:, :execute]
         call += 1
-        finite &= np.isfinite(chunk).all((1, 2))
-        chunk = np.where(finite[:, None, None], chunk, 0)
+        is_finite = np.isfinite(chunk).all((1, 2))
+        finite &= is_finite | ~active  # a world that is done sees black: its chunk is not used
+        chunk = np.where(is_finite[:, None, None], chunk, 0)
         targets, gripper = decode(space, chunk, anchor)
         for t in range(min(chunk.shape[1], task.horizon + 1 - len(trace))):
             active = ~success & state.ok & finite
