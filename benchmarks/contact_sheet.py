@@ -1,0 +1,84 @@
+"""The contact sheet of the documentation: what the cameras of Lift see.
+
+    python benchmarks/contact_sheet.py [--out docs/contact_sheet.png]
+
+Top row: the fixed scene from the test cameras. Middle: the randomised scene, a new episode in each
+tile. Bottom: one demonstration of the scripted expert in time, from one camera.
+"""
+
+import argparse
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+
+from jaxcam.collect import run_expert
+from jaxcam.frames import intrinsics
+from jaxcam.rays import sample_poses
+from jaxcam.sim import make_task
+from jaxcam.sim.native import NativeEngine
+from jaxcam.sim.render import Renderer, View
+from jaxcam.sim.scene import SceneName, build_scene
+from jaxcam.sim.task import starts
+
+COLUMNS, TILE, GAP = 6, 184, 6
+TEST_CAMERAS, FIRST_EPISODE = 23, 7
+
+
+def episodes(name: SceneName) -> np.ndarray:
+    """Starts of episodes, each from a camera of its own; the fixed scene's is one start."""
+    task = make_task("lift")
+    scene = build_scene(task.objects(), name)
+    seeds = [FIRST_EPISODE + i * (name == "randomized") for i in range(COLUMNS)]
+    start = starts(task, scene, seeds)
+    K = np.tile(intrinsics(task.fovy_deg, TILE), (COLUMNS, 1, 1))
+    cameras = sample_poses(task.cameras, COLUMNS, TEST_CAMERAS)
+    view = View(start.qpos, start.geom_size, start.fixtures, K, cameras)
+    return Renderer(scene, TILE, varied=task.varied, samples=2).rgb(view)
+
+
+def demonstration(camera: int) -> np.ndarray:
+    """An expert's episode at equal times, from one camera."""
+    task = make_task("lift")
+    scene = build_scene(task.objects(), "randomized")
+    engine = NativeEngine(scene, "osc_pose", varied=task.varied)
+    demo = run_expert(task, scene, engine, [FIRST_EPISODE])[0]
+    if demo is None:
+        raise SystemExit(f"The expert failed in episode {FIRST_EPISODE}; choose another.")
+    times = np.linspace(0, demo.length, COLUMNS).round().astype(int)
+    several = (COLUMNS, 1, 1)
+    view = View(
+        qpos=demo.qpos(scene.physics.nq)[times],
+        geom_size=np.tile(demo.geom_size, several),
+        fixtures=np.tile(demo.fixtures, several),
+        K=np.tile(intrinsics(task.fovy_deg, TILE), several),
+        world_from_camera=np.tile(
+            sample_poses(task.cameras, camera + 1, TEST_CAMERAS)[camera], several
+        ),
+    )
+    return Renderer(scene, TILE, varied=task.varied, samples=2).rgb(view)
+
+
+def sheet(rows: list[np.ndarray]) -> np.ndarray:
+    """Rows of tiles on white."""
+    height = len(rows) * (TILE + GAP) - GAP
+    page = np.full((height, COLUMNS * (TILE + GAP) - GAP, 3), 255, np.uint8)
+    for i, row in enumerate(rows):
+        for j, tile in enumerate(row):
+            top, left = i * (TILE + GAP), j * (TILE + GAP)
+            page[top : top + TILE, left : left + TILE] = tile
+    return page
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Draws the documentation's contact sheet.")
+    parser.add_argument("--out", type=Path, default=Path("docs/contact_sheet.png"))
+    parser.add_argument("--camera", type=int, default=10, help="test camera of the bottom row")
+    args = parser.parse_args()
+    rows = [episodes("fixed"), episodes("randomized"), demonstration(args.camera)]
+    matplotlib.image.imsave(args.out, sheet(rows))
+    print(f"{args.out}: {args.out.stat().st_size / 1e3:.0f} kB")
+
+
+if __name__ == "__main__":
+    main()
