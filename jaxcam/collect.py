@@ -90,17 +90,15 @@ def _fill(writer: DemoWriter, task: Task, scene: Scene, console: Console | None)
     tried = succeeded = 0
     with progress(console, "collecting", total, done=len(writer.done)) as advance:
         slots = iter(sorted(set(range(total)) - writer.done))
-        # Slot i's first episode has seed i, so that an interrupted collection ends as a whole one;
-        # the few that fail are replaced by seeds past the last slot, in order.
-        spare = iter(seeds[total:])
-        todo = [(slot, seeds[slot]) for slot in slots]
+        # Attempt k of slot i has seed i + k * total: an interrupted collection ends as a whole one.
+        todo = [(slot, 0) for slot in slots]
         while todo:
             batch, todo = todo[:BATCH], todo[BATCH:]
-            episodes = run_expert(task, scene, engine, [seed for _, seed in batch])
-            for (slot, _), demo in zip(batch, episodes, strict=True):
+            episodes = run_expert(task, scene, engine, [seeds[i + k * total] for i, k in batch])
+            for (slot, attempt), demo in zip(batch, episodes, strict=True):
                 tried += 1
                 if demo is None:
-                    todo.append((slot, next(spare)))
+                    todo.append((slot, attempt + 1))
                     continue
                 succeeded += 1
                 writer.append(slot, demo_with_cameras(demo, cameras[slot]))

@@ -19,6 +19,7 @@ demonstration, and renamed when it is complete, so a killed collector loses one 
 """
 
 import contextlib
+import hashlib
 import json
 import os
 from collections.abc import Iterator
@@ -117,11 +118,17 @@ class DemoWriter:
     def __init__(self, path: Path, header: Header) -> None:
         self.path, self.part = path, path.with_name(path.name + ".part")
         self.header = header
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if self.part.exists():
-            self._resume()
-        else:
-            self._create()
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if self.part.exists():
+                self._resume()
+            else:
+                self._create()
+        except OSError as error:
+            raise DatasetError(
+                f"Cannot write to {path.parent}: {error.strerror or error}. Choose another "
+                "--data-dir, or make room or get permission."
+            ) from error
 
     def __enter__(self) -> "DemoWriter":
         return self
@@ -155,11 +162,14 @@ class DemoWriter:
         self._file.flush()
 
     def finish(self) -> Path:
-        """Checks that nothing is missing and gives the file its name."""
+        """Reads the file back, seals it with a hash of its content and gives it its name."""
         missing = set(range(self.header.train + self.header.valid)) - self.done
         if missing:
             raise DatasetError(f"{self.part}: demonstrations {sorted(missing)[:5]}... are missing.")
         self._file.close()
+        seal = _seal(read_demos(self.part))
+        with h5py.File(self.part, "r+") as file:
+            file["data"].attrs["sha256"] = seal
         os.replace(self.part, self.path)
         return self.path
 
@@ -183,6 +193,10 @@ class DemoWriter:
         try:
             self._file = h5py.File(self.part, "r+")
             found = json.loads(str(self._file["data"].attrs["jaxcam"]))
+        except BlockingIOError as error:
+            raise DatasetError(
+                f"{self.part}: in use by another process. Wait for it to finish collecting."
+            ) from error
         except (OSError, KeyError) as error:
             raise DatasetError(
                 f"{self.part}: an unfinished file that cannot be opened ({error}). "
@@ -218,8 +232,6 @@ def read_demos(path: Path, *, task: str | None = None, scene: str | None = None)
     Raises:
         DatasetError: if it is missing, damaged, of another task or scene, or lacks cameras.
     """
-    import hashlib
-
     with _open(path) as file:
         header = _read_header(path, file)
         for name, wanted, found in (("task", task, header.task), ("scene", scene, header.scene)):
@@ -231,12 +243,26 @@ def read_demos(path: Path, *, task: str | None = None, scene: str | None = None)
                 )
         digest = hashlib.sha256(np.ascontiguousarray(header.world_from_camera).tobytes())
         demos = [_read_demo(path, file, i, header) for i in range(header.train + header.valid)]
+        seal = file["data"].attrs.get("sha256")
     for demo in demos:
         for array in (demo.states, demo.actions, demo.geom_size, demo.fixtures, demo.cameras):
             digest.update(np.ascontiguousarray(array).tobytes())
-    return Demos(
+    found = Demos(
         path, header, demos[: header.train], demos[header.train :], digest.hexdigest()[:16]
     )
+    if seal is not None and seal != _seal(found):
+        raise DatasetError(
+            f"{path}: damaged: its content is not what was written. Delete it and collect again, "
+            "or copy it anew."
+        )
+    return found
+
+
+def _seal(demos: Demos) -> str:
+    """Hash of all that is read of a file; checksums see arrays, but attributes have none."""
+    seeds = [d.seed for d in demos.train + demos.valid]
+    content = [demos.fingerprint, demos.header.identity(), seeds]
+    return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
 
 @contextlib.contextmanager
@@ -246,7 +272,10 @@ def _open(path: Path) -> Iterator[h5py.File]:
     try:
         with h5py.File(path, "r") as file:
             yield file
-    except OSError as error:
+    except DatasetError:
+        raise
+    except (OSError, RuntimeError, LookupError, TypeError, ValueError) as error:
+        # HDF5's library reports damage in all of these ways.
         head = path.read_bytes()[:8]
         if head != _HDF5_SIGNATURE:
             raise DatasetError(f"{path}: not an HDF5 file; it starts with {head!r}.") from error
@@ -259,16 +288,21 @@ def _open(path: Path) -> Iterator[h5py.File]:
 def _read_header(path: Path, file: h5py.File) -> Header:
     try:
         about = json.loads(str(file["data"].attrs["jaxcam"]))
-    except KeyError as error:
+        found = about["format"]
+    except (KeyError, TypeError, ValueError) as error:
         raise DatasetError(
             f"{path}: no jaxcam header; found {sorted(file)}. Expected the layout in "
             "jaxcam/demos.py."
         ) from error
-    if about["format"] != FORMAT:
-        raise DatasetError(f"{path}: format {about['format']}, but this jaxcam reads {FORMAT}.")
+    if found != FORMAT:
+        raise DatasetError(f"{path}: format {found}, but this jaxcam reads {FORMAT}.")
     if "cameras/world_from_camera" not in file:
         raise DatasetError(f"{path}: no cameras (dataset 'cameras/world_from_camera' is missing).")
-    return Header(world_from_camera=file["cameras/world_from_camera"][:], **about)  # type: ignore[index]
+    poses: Any = file["cameras/world_from_camera"]
+    try:
+        return Header(world_from_camera=poses[:], **about)
+    except TypeError as error:
+        raise DatasetError(f"{path}: incomplete jaxcam header ({error}).") from error
 
 
 def _read_demo(path: Path, file: h5py.File, index: int, header: Header) -> Demo:

@@ -17,6 +17,7 @@ from jaxcam.demos import Demo, Demos
 from jaxcam.errors import DatasetError
 from jaxcam.progress import progress
 from jaxcam.rays import Camera
+from jaxcam.rundir import write_atomically
 from jaxcam.sim import make_task
 from jaxcam.sim.render import Renderer, View
 from jaxcam.sim.scene import build_scene
@@ -65,14 +66,8 @@ def load_frames(demos: Demos, resolution: int, console: Console | None = None) -
     path = demos.path.parent / "frames" / name
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        size = frames * resolution * resolution * 3
-        free = shutil.disk_usage(path.parent).free
+        _check_room(path, frames * resolution * resolution * 3)
         part = _Part(path, (frames, resolution, resolution, 3))
-        if free + part.size < size * 1.05:
-            raise DatasetError(
-                f"{path.parent}: the pictures need {size / 1e9:.1f} GB, but {free / 1e9:.1f} GB "
-                "are free. Choose another --data-dir or a smaller --resolution."
-            )
         task = make_task(demos.header.task)
         scene = build_scene(task.objects(), demos.header.scene)  # type: ignore[arg-type]
         renderer = Renderer(scene, resolution, varied=task.varied)
@@ -87,6 +82,18 @@ def load_frames(demos: Demos, resolution: int, console: Console | None = None) -
         part.finish()
     pictures = np.load(path, mmap_mode="r")
     return Frames(pictures, first, np.array([len(d.cameras) for d in every]))
+
+
+def _check_room(path: Path, size: int) -> None:
+    part = path.with_suffix(".part")
+    # Blocks, not length: an unfinished file is sparse.
+    there = part.stat().st_blocks * 512 if part.exists() else 0
+    free = shutil.disk_usage(path.parent).free
+    if free + there < size * 1.05:
+        raise DatasetError(
+            f"{path.parent}: the pictures need {size / 1e9:.2g} GB, but {free / 1e9:.2g} GB "
+            "are free. Choose another --data-dir or a smaller --resolution."
+        )
 
 
 def _view(demo: Demo, demos: Demos, resolution: int) -> View:
@@ -112,18 +119,24 @@ class _Part:
         self.part = path.with_suffix(".part")
         self._count = path.with_suffix(".part.json")
         self.done = 0
-        self.size = self.part.stat().st_size if self.part.exists() else 0
-        if self.size and self._count.exists():
+        if self.part.exists() and self._count.exists():
             self.done = int(json.loads(self._count.read_text())["demos"])
         mode = "r+" if self.done else "w+"
-        self._array = np.lib.format.open_memmap(self.part, mode, np.uint8, shape)
+        array = np.lib.format.open_memmap(self.part, mode, np.uint8, shape)
+        self._offset, self._frame = array.offset, int(np.prod(shape[1:]))
 
     def write(self, first: int, pictures: np.ndarray, done: int) -> None:
-        self._array[first : first + len(pictures)] = pictures
-        self._array.flush()
-        self._count.write_text(json.dumps({"demos": done}))
+        # Not through the map: where the disk is full that kills the process, this raises.
+        try:
+            with open(self.part, "r+b") as file:
+                file.seek(self._offset + first * self._frame)
+                file.write(np.ascontiguousarray(pictures).data)
+            write_atomically(self._count, json.dumps({"demos": done}))
+        except OSError as error:
+            raise DatasetError(
+                f"{self.part}: {error.strerror}. What is rendered is kept; make room and repeat."
+            ) from error
 
     def finish(self) -> None:
-        del self._array
         os.replace(self.part, self.path)
         self._count.unlink(missing_ok=True)

@@ -110,7 +110,7 @@ class NativeEngine:
                 torque = self._torque(now, target, rotation, rest)
             except np.linalg.LinAlgError:
                 # MuJoCo puts a world that diverges to its zero pose, where the arm is singular.
-                for k in np.flatnonzero([world.has_diverged() for world in worlds]):
+                for k in np.flatnonzero([w.has_diverged() for w in worlds]).tolist():
                     read.stand_in(k)
                 torque = self._torque(now, target, rotation, rest)
             torque = np.clip(torque, *self._limits)

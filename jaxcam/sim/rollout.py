@@ -83,7 +83,7 @@ def rollout(
         }
         chunk = np.asarray(act(obs, call))[:, :execute]
         call += 1
-        is_finite = np.isfinite(chunk).all((1, 2))
+        is_finite = np.asarray(np.isfinite(chunk).all((1, 2)))
         finite &= is_finite | ~active  # a world that is done sees black: its chunk is not used
         chunk = np.where(is_finite[:, None, None], chunk, 0)
         targets, gripper = decode(space, chunk, anchor)

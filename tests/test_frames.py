@@ -1,0 +1,136 @@
+"""The frame cache: made once, resumed, and the picture at an index is the one it names."""
+
+import shutil
+from collections import namedtuple
+
+import numpy as np
+import pytest
+from conftest import PIXELS
+
+from jaxcam import frames as frames_module
+from jaxcam.errors import DatasetError
+from jaxcam.frames import intrinsics, load_frames
+from jaxcam.rays import Camera
+from jaxcam.sim.render import Renderer, View
+
+Usage = namedtuple("Usage", "total used free")
+
+
+@pytest.fixture
+def elsewhere(demos, tmp_path):
+    """The same demonstrations in another folder, without pictures."""
+    path = tmp_path / demos.path.name
+    shutil.copy(demos.path, path)
+    return type(demos)(**{**demos.__dict__, "path": path})
+
+
+def pictures_in(demos):
+    return sorted(p.name for p in (demos.path.parent / "frames").iterdir())
+
+
+def test_cached_pictures_are_fresh_renders_of_state_and_camera(demos, frames, renderer):
+    every = demos.train + demos.valid
+    assert len(frames.pictures) == sum(d.length * len(d.cameras) for d in every)
+    rng = np.random.default_rng(0)
+    seen = set()
+    for i, demo in enumerate(every):
+        t, c = int(rng.integers(demo.length)), int(rng.integers(len(demo.cameras)))
+        for t_, c_ in {(t, c), (0, 0), (demo.length - 1, len(demo.cameras) - 1)}:
+            view = View(
+                demo.qpos(demos.header.nq)[[t_]],
+                demo.geom_size[None],
+                demo.fixtures[None],
+                intrinsics(45, PIXELS)[None],
+                demos.header.world_from_camera[demo.cameras[c_]][None],
+            )
+            row = frames.at(np.array(i), np.array(t_), np.array(c_))
+            np.testing.assert_array_equal(frames.pictures[row], renderer.rgb(view)[0])
+            seen.add(int(row))
+    assert {0, len(frames.pictures) - 1} <= seen
+
+
+def test_every_frame_has_one_place(demos, frames):
+    rows = [
+        frames.at(np.array(i), np.array(t), np.array(c))
+        for i, d in enumerate(demos.train + demos.valid)
+        for t in range(d.length)
+        for c in range(len(d.cameras))
+    ]
+    assert [int(r) for r in rows] == list(range(len(frames.pictures)))
+
+
+def test_a_second_load_renders_nothing(demos, frames, monkeypatch):
+    monkeypatch.setattr(frames_module, "Renderer", _NoRenderer)
+    again = load_frames(demos, PIXELS)
+    np.testing.assert_array_equal(again.pictures, frames.pictures)
+    assert not again.pictures.flags.writeable
+
+
+class _NoRenderer:
+    identity = staticmethod(Renderer.identity)
+
+    def __init__(self, *args, **kwargs):
+        raise AssertionError("rendered again")
+
+
+def test_an_interrupted_rendering_ends_as_an_uninterrupted_one(elsewhere, frames, monkeypatch):
+    monkeypatch.setattr(frames_module, "DEMOS_PER_BATCH", 2)
+    rendered = []
+
+    class Dying(Renderer):
+        def rgb(self, view):
+            rendered.append(len(view.qpos))
+            if len(rendered) == 3:
+                raise KeyboardInterrupt
+            return super().rgb(view)
+
+    monkeypatch.setattr(frames_module, "Renderer", Dying)
+    with pytest.raises(KeyboardInterrupt):
+        load_frames(elsewhere, PIXELS)
+    assert not any(name.endswith(".npy") for name in pictures_in(elsewhere))
+    resumed = load_frames(elsewhere, PIXELS)
+    np.testing.assert_array_equal(resumed.pictures, frames.pictures)
+    assert len(rendered) == 4  # two batches before, the third again
+    assert [name.rsplit(".", 1)[1] for name in pictures_in(elsewhere)] == ["npy"]
+
+
+def test_no_room_on_the_disk(elsewhere, monkeypatch):
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(10**9, 10**9, 1000))
+    for _ in range(2):  # a failed attempt is not taken for room
+        with pytest.raises(
+            DatasetError, match=r"pictures need .* GB.*--data-dir or a smaller --res"
+        ):
+            load_frames(elsewhere, PIXELS)
+    assert pictures_in(elsewhere) == []
+
+
+def test_a_disk_that_fills_up_keeps_what_is_done(elsewhere, frames, monkeypatch):
+    monkeypatch.setattr(frames_module, "DEMOS_PER_BATCH", 3)
+    write = frames_module._Part.write
+
+    def full(self, first, pictures, done):
+        if done == 6:
+            monkeypatch.setattr(self, "part", self.part.with_name("none") / "full")
+        write(self, first, pictures, done)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(frames_module._Part, "write", full)
+        with pytest.raises(DatasetError, match="What is rendered is kept"):
+            load_frames(elsewhere, PIXELS)
+    np.testing.assert_array_equal(load_frames(elsewhere, PIXELS).pictures, frames.pictures)
+
+
+def test_other_pictures_have_another_cache(demos, frames):
+    (name,) = pictures_in(demos)
+    for part in (demos.fingerprint, f"-{PIXELS}px-", Renderer.identity()):
+        assert part in name
+    small = load_frames(demos, 16)
+    assert small.pictures.shape[1:] == (16, 16, 3)
+    assert len(pictures_in(demos)) == 2
+    assert name in pictures_in(demos)
+
+
+def test_intrinsics_are_of_the_whole_picture():
+    camera = Camera(intrinsics(45, 84), np.eye(4), 84, 84).validate()
+    np.testing.assert_allclose(np.rad2deg(camera.fovy), 45, rtol=1e-6)
+    np.testing.assert_allclose(intrinsics(45, 84)[:2, 2], 42)
