@@ -1,12 +1,16 @@
 """`python -m jaxcam.collect`: demonstrations of the scripted expert, as states and commands."""
 
+from jaxcam.config import CollectConfig, cli
+
+if __name__ == "__main__":
+    cli(CollectConfig)  # --help and bad flags are answered before the slow imports
+
 from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 
-from jaxcam.config import CollectConfig, cli
 from jaxcam.demos import Demo, Demos, DemoWriter, Header, read_demos
 from jaxcam.errors import SimError, run_main
 from jaxcam.progress import progress

@@ -4,6 +4,11 @@ Pairs are numbered; pair i has the same start and the same cameras for every pol
 checkpoint (paper, section IV-C). Every rollout is one row of `RUN/eval/rows.jsonl`.
 """
 
+from jaxcam.config import EvaluateConfig, TrainConfig, cli
+
+if __name__ == "__main__":
+    cli(EvaluateConfig)  # --help and bad flags are answered before the slow imports
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +20,6 @@ from rich.console import Console
 
 from jaxcam.actions import controller_of
 from jaxcam.checkpoint import load_policy_inputs
-from jaxcam.config import EvaluateConfig, TrainConfig, cli
 from jaxcam.errors import run_main
 from jaxcam.frames import intrinsics
 from jaxcam.html import write_report

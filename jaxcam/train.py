@@ -39,20 +39,26 @@ def train(config: TrainConfig, console: "Console | None" = None) -> int:
     from jaxcam.rundir import RunDir, interrupts
 
     config = resolve(config)
-    with RunDir.open(config) as run, interrupts() as stop:
-        dataset = _dataset(config, console)
-        policy = _policy(config, dataset)
-        state = _fit(config, run, dataset, policy, stop, console)
-        if stop:
-            if console:
-                command = shlex.join(["python", "-m", "jaxcam.train", *sys.argv[1:]])
-                console.print(
-                    f"Stopped at update {int(state.step)} and saved. To go on, run the same "
-                    f"command again:\n  {command}"
-                )
-            return stop.exit_code
-        _finish(config, run, policy, state, console)
+    with RunDir.open(config) as run:
+        try:
+            dataset = _dataset(config, console)
+            policy = _policy(config, dataset)
+            with interrupts() as stop:  # only here is there something to save
+                state = _fit(config, run, dataset, policy, stop, console)
+            if stop:
+                _say_how_to_go_on(console, f"Stopped at update {int(state.step)} and saved.")
+                return stop.exit_code
+            _finish(config, run, policy, state, console)
+        except KeyboardInterrupt:
+            _say_how_to_go_on(console, "Stopped; what is done is kept.")
+            return 130
     return 0
+
+
+def _say_how_to_go_on(console: "Console | None", what: str) -> None:
+    if console:
+        command = shlex.join(["python", "-m", "jaxcam.train", *sys.argv[1:]])
+        console.print(f"{what} To go on, run the same command again:\n  {command}", soft_wrap=True)
 
 
 def collect_config(config: TrainConfig) -> CollectConfig:
@@ -111,7 +117,7 @@ def _fit(
     crop = functools.partial(random_crop, smallest=config.crop_min)
     update = make_train_chunk(policy.loss, tx, augment=crop, ema=config.ema)
     validation_loss = jax.jit(lambda params, batch: policy.loss(params, batch, None)[0])
-    held_out = dataset.validation(policy.spec.chunk, config.views)
+    held_out = dataset.validation(policy.spec.chunk, config.views) if config.validation else None
     side = make_side(
         config,
         settings=policy.config,
@@ -139,7 +145,7 @@ def _fit(
                     check_finite(state)
                     means = jax.tree.map(lambda *x: float(np.mean(np.concatenate(x))), *recent)
                     row = {"step": done, **means, "seconds": time.perf_counter() - began}
-                    if done % config.eval_every == 0 or done == config.steps:
+                    if held_out and (done % config.eval_every == 0 or done == config.steps):
                         row["val_loss"] = float(validation_loss(state.eval_params, held_out))
                     run.log(row)
                     recent = []
