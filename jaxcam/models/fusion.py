@@ -69,7 +69,7 @@ class VisionConfig:
     """What becomes a token: every cell of the feature map (grid), or every one of the keypoints."""
     keypoints: int = 32
     """Heat maps a view, when keypoints are pooled."""
-    heat_gain: float = 10.0
+    heat_gain: float = 25.0
     """Factor on heat maps before their softmax. At 1 all keypoints start in the image's middle, and
     training spends a thousand updates on getting them away from there."""
     keypoint_features: bool = False

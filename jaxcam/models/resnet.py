@@ -103,14 +103,13 @@ class SmallEncoder(nnx.Module):
 
     XLA's CPU gradients of strided convolutions are several times slower than its matrix products,
     those of stride-1 convolutions are not: so pixels are folded into channels once, and everything
-    after that has stride 1.
+    after that has stride 1. A layer norm costs as much as a convolution; there is one, at the end.
     """
 
     stride = 4
 
     def __init__(self, d_rays: int, width: int, depth: int, *, rngs: nnx.Rngs, dtype: DTypeLike):
         self.stem = conv(3 * self.stride**2 + d_rays, width, 3, rngs=rngs, dtype=dtype, bias=True)
-        self.norms = nnx.List(layer_norm(width, rngs=rngs, dtype=dtype) for _ in range(depth))
         self.convs = nnx.List(
             conv(width, width, 3, rngs=rngs, dtype=dtype, bias=True) for _ in range(depth)
         )
@@ -122,8 +121,8 @@ class SmallEncoder(nnx.Module):
         if rays is not None:
             x = jnp.concatenate([x, rays], -1)
         x = self.stem(x)
-        for norm, layer in zip(self.norms, self.convs, strict=True):
-            x = x + layer(jax.nn.relu(norm(x)))
+        for layer in self.convs:
+            x = x + layer(jax.nn.relu(x))
         return jax.nn.relu(self.norm(x))
 
 
