@@ -38,6 +38,8 @@ class Dataset:
     """All cameras in the robot's base frame [N, 4, 4]."""
     actions: np.ndarray = field(repr=False)
     """Actions of every demonstration, zeros past its end [D, T, A]."""
+    keyframes: np.ndarray = field(repr=False)
+    """Where the grip is when its command next changes (base frame, m), per action [D, T, 3]."""
     proprio: np.ndarray = field(repr=False)
     """What the robot feels before each action (`Scene.proprio`) [D, T, P]."""
     lengths: np.ndarray = field(repr=False)
@@ -51,24 +53,23 @@ class Dataset:
 
     def stats(self) -> dict[str, np.ndarray]:
         """Statistics of the training demonstrations, float32; population std as the authors'."""
-        rows = [slice(0, n) for n in self.lengths[: self.train]]
-        actions = np.concatenate([a[r] for a, r in zip(self.actions, rows, strict=False)])
-        proprio = np.concatenate([p[r] for p, r in zip(self.proprio, rows, strict=False)])
-        stats = {
-            "action_mean": actions.mean(0),
-            "action_std": np.maximum(actions.std(0), STD_FLOOR),
-            "action_min": actions.min(0),
-            "action_max": actions.max(0),
-            "proprio_mean": proprio.mean(0),
-            "proprio_std": np.maximum(proprio.std(0), STD_FLOOR),
-        }
+        real = np.arange(self.actions.shape[1]) < self.lengths[: self.train, None]
+        stats = {}
+        for name, values in (
+            ("action", self.actions[: self.train][real]),
+            ("keyframe", self.keyframes[: self.train][real]),
+            ("proprio", self.proprio[: self.train][real]),
+        ):
+            stats[f"{name}_mean"] = values.mean(0)
+            stats[f"{name}_std"] = np.maximum(values.std(0), STD_FLOOR)
+            stats[f"{name}_min"], stats[f"{name}_max"] = values.min(0), values.max(0)
         return {k: v.astype(np.float32) for k, v in stats.items()}
 
     def batch(self, demo: np.ndarray, t: np.ndarray, views: np.ndarray, chunk: int) -> Batch:
         """The samples that start at step `t` [B] of `demo` [B], seen by cameras `views` [B, V]."""
         steps = t[:, None] + np.arange(chunk)
         is_pad = steps >= self.lengths[demo][:, None]
-        actions = self.actions[demo[:, None], np.minimum(steps, self.actions.shape[1] - 1)]
+        where = demo[:, None], np.minimum(steps, self.actions.shape[1] - 1)
         rows = self.frames.at(demo[:, None], t[:, None], views)
         cameras = np.stack([self.windows[d][v] for d, v in zip(demo, views, strict=True)])
         return {
@@ -76,7 +77,8 @@ class Dataset:
             "K": np.broadcast_to(self.K, (*rows.shape, 3, 3)).astype(np.float32),
             "base_from_camera": self.base_from_camera[cameras],
             "proprio": self.proprio[demo, t],
-            "action": np.where(is_pad[..., None], 0, actions).astype(np.float32),
+            "action": np.where(is_pad[..., None], 0, self.actions[where]),
+            "keyframe": np.where(is_pad[..., None], 0, self.keyframes[where]),
             "is_pad": is_pad,
         }
 
@@ -136,12 +138,13 @@ def make_dataset(
     lengths = np.array([d.length for d in every])
     longest = int(lengths.max())
     nq = demos.header.nq
-    actions, proprio = [], []
+    actions, keyframes, proprio = [], [], []
     for demo in every:
         moves = demo_actions(demo, space, nq, scene.arm)
         state = scene.proprio(demo.qpos(nq), demo.eef_pos)[:-1]
         pad = ((0, longest - demo.length), (0, 0))
         actions.append(np.pad(moves, pad))
+        keyframes.append(np.pad(_keyframes(demo, scene), pad))
         proprio.append(np.pad(state, pad))
     pixels = frames.pictures.shape[1]
     return Dataset(
@@ -151,12 +154,22 @@ def make_dataset(
             np.float32
         ),
         actions=np.stack(actions).astype(np.float32),
+        keyframes=np.stack(keyframes).astype(np.float32),
         proprio=np.stack(proprio).astype(np.float32),
         lengths=lengths,
         windows=[d.cameras for d in every],
         train=len(demos.train),
         fingerprint=f"{demos.fingerprint}-{pixels}px-{space}",
     )
+
+
+def _keyframes(demo: Demo, scene: Scene) -> np.ndarray:
+    """Where the grip is when its command next changes, or at the end [T, 3], base frame."""
+    gripper = np.sign(demo.actions[:, -1])
+    changes = np.append(np.flatnonzero(np.diff(gripper)) + 1, demo.length)
+    following = changes[np.searchsorted(changes, np.arange(demo.length), side="right")]
+    world = demo.eef_pos[following]
+    return (world - scene.world_from_base[:3, 3]) @ scene.world_from_base[:3, :3]
 
 
 def demo_actions(demo: Demo, space: ActionSpace, nq: int, arm: np.ndarray) -> np.ndarray:

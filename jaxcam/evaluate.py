@@ -112,7 +112,8 @@ class Evaluator:
             K,
             cameras,
             config.action_space,  # type: ignore[arg-type]
-            tick=tick,
+            policy.execute,
+            tick,
         )
         azimuth, elevation, distance = (
             np.asarray(x) for x in spherical(cameras[:, 0], np.array(task.cameras.centre))

@@ -34,6 +34,8 @@ def make_stats(seed: int = 3) -> dict[str, np.ndarray]:
     return {
         "action_mean": rng.normal(size=ACTION).astype(np.float32),
         "action_std": rng.uniform(0.5, 2, ACTION).astype(np.float32),
+        "keyframe_mean": np.zeros(3, np.float32),
+        "keyframe_std": np.full(3, 0.5, np.float32),
         "proprio_mean": rng.normal(size=PROPRIO).astype(np.float32),
         "proprio_std": rng.uniform(0.5, 2, PROPRIO).astype(np.float32),
     }
@@ -54,6 +56,7 @@ def make_batch(
         "base_from_camera": pose,
         "proprio": rng.normal(size=(batch, PROPRIO)).astype(np.float32),
         "action": rng.normal(size=(batch, CHUNK, ACTION)).astype(np.float32),
+        "keyframe": rng.normal(size=(batch, CHUNK, 3)).astype(np.float32),
         "is_pad": np.arange(CHUNK) >= np.array([[CHUNK], [CHUNK - 2]])[:batch],
     }
 

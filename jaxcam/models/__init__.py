@@ -55,7 +55,8 @@ def make_policy(config: ActConfig, spec: PolicySpec, stats: Mapping[str, np.ndar
         config: The policy's settings.
         spec: Sizes of observations and actions.
         stats: ``action_mean``, ``action_std`` [A] and ``proprio_mean``, ``proprio_std`` [P] of the
-            training data. They become constants of the functions.
+            training data, with ``keyframe_mean``, ``keyframe_std`` [3] if keyframes are predicted.
+            They become constants of the functions.
 
     Returns:
         The policy. Its parameters are nested dicts with string keys.
@@ -99,15 +100,21 @@ def make_policy(config: ActConfig, spec: PolicySpec, stats: Mapping[str, np.ndar
         target = (batch["action"] - action_mean) / action_std
         is_pad = batch["is_pad"]
         predicted, kl = network(params)(batch, proprio(batch), target, is_pad, key=key)
-        l1 = l1_loss(predicted, target, is_pad)
+        l1 = l1_loss(predicted[..., : spec.action_dim], target, is_pad)
         total = l1 + config.kl_weight * kl
-        return total, {"loss": total, "l1": l1, "kl": kl}
+        metrics = {"l1": l1, "kl": kl}
+        if config.keyframe_weight:
+            keyframe = (batch["keyframe"] - stats["keyframe_mean"]) / stats["keyframe_std"]
+            metrics["keyframe"] = l1_loss(predicted[..., spec.action_dim :], keyframe, is_pad)
+            total += config.keyframe_weight * metrics["keyframe"]
+        return total, {"loss": total, **metrics}
 
     def act(params: Params, obs: Obs, key: Key) -> jax.Array:
         del key  # ACT acts with its latent at zero: nothing is drawn.
-        return network(params)(obs, proprio(obs))[0] * action_std + action_mean
+        predicted = network(params)(obs, proprio(obs))[0][..., : spec.action_dim]
+        return predicted * action_std + action_mean
 
-    return Policy(init, loss, act, config, spec)
+    return Policy(init, loss, act, config, spec, min(config.execute or spec.chunk, spec.chunk))
 
 
 def policy_settings(config: "TrainConfig") -> ActConfig:

@@ -20,7 +20,12 @@ class ActConfig(VisionConfig):
     """Settings of ACT; the defaults are the paper's, as the authors trained it."""
 
     chunk: int = 30
-    """Actions predicted, and executed, at a time."""
+    """Actions predicted at a time."""
+    execute: int = 0
+    """Actions of a chunk that are executed before the policy is asked again; 0 is all of them."""
+    keyframe_weight: float = 0.0
+    """Weight of the loss on keyframes, which the policy then predicts beside every action; 0
+    predicts none. A keyframe is where the grip will be when its command next changes."""
     head: str = "transformer"
     """From tokens to actions: the paper's transformer, or an mlp over all tokens at once."""
     width: int = 512
@@ -51,6 +56,12 @@ class ActConfig(VisionConfig):
             raise ConfigError(f"Unknown head '{self.head}'{closest(str(self.head), known)}.")
         if self.width % self.heads:
             raise ConfigError(f"width {self.width} is not a multiple of heads {self.heads}.")
+        if self.execute < 0 or self.keyframe_weight < 0:
+            raise ConfigError("execute and keyframe_weight must not be negative.")
+
+    def outputs(self, spec: PolicySpec) -> int:
+        """Numbers predicted a step: an action and, if asked for, its keyframe's position."""
+        return spec.action_dim + 3 * (self.keyframe_weight > 0)
 
 
 ACT_PRESETS: dict[str, ActConfig] = {
@@ -64,6 +75,9 @@ ACT_PRESETS: dict[str, ActConfig] = {
         image_scaling="symmetric",
         pool="keypoints",
         chunk=16,
+        execute=8,
+        keyframe_weight=0.9,
+        drop_proprio=False,
         head="mlp",
         width=256,
         layers=2,
@@ -152,14 +166,14 @@ class TransformerHead(nnx.Module):
         self.decoder = Decoder(
             width, config.heads, config.hidden, config.dropout, rngs=rngs, dtype=dtype
         )
-        self.action = linear(width, spec.action_dim, rngs=rngs, dtype=dtype)
+        self.action = linear(width, config.outputs(spec), rngs=rngs, dtype=dtype)
         # In the reference models, and trained by nothing: the loss does not look at it.
         self.is_pad = linear(width, 1, rngs=rngs, dtype=dtype)
 
     def __call__(
         self, tokens: jax.Array, obs: Obs, proprio: jax.Array, latent: jax.Array, *, key: Key
     ) -> jax.Array:
-        """Map tokens [B, V, N, F] and latent [B, L] to normalised actions [B, T, A]."""
+        """Map tokens [B, V, N, F] and latent [B, L] to normalised outputs [B, T, O]."""
         dtype = self.config.dtype
         batch = tokens.shape[0]
         tokens = tokens.reshape(batch, -1, tokens.shape[-1])
@@ -197,12 +211,13 @@ class MlpHead(nnx.Module):
         d_in += spec.views * pose_width * token
         widths = (d_in, *(config.width,) * config.layers)
         self.layers = nnx.List(linear(a, b, rngs=rngs, dtype=dtype) for a, b in pairwise(widths))
-        self.action = linear(config.width, spec.chunk * spec.action_dim, rngs=rngs, dtype=dtype)
+        outputs = spec.chunk * config.outputs(spec)
+        self.action = linear(config.width, outputs, rngs=rngs, dtype=dtype)
 
     def __call__(
         self, tokens: jax.Array, obs: Obs, proprio: jax.Array, latent: jax.Array, *, key: Key
     ) -> jax.Array:
-        """Map tokens [B, V, N, F] and latent [B, L] to normalised actions [B, T, A]."""
+        """Map tokens [B, V, N, F] and latent [B, L] to normalised outputs [B, T, O]."""
         batch = tokens.shape[0]
         parts = [tokens.reshape(batch, -1), proprio, latent]
         if self.pose is not None:
@@ -243,7 +258,8 @@ class Act(nnx.Module):
             key: For dropout and the latent's noise; none of either without it.
 
         Returns:
-            Normalised actions [B, T, A] and the latent's KL divergence, a scalar.
+            Normalised actions, with keyframes behind them if the settings ask for them, [B, T, O],
+            and the latent's KL divergence, a scalar.
         """
         head_key, latent_key, noise_key = split_key(key, 3)
         latent = jnp.zeros((proprio.shape[0], self.config.latent_dim))

@@ -14,7 +14,8 @@ Obs: TypeAlias = Mapping[str, jax.Array]
 ``base_from_camera`` [B, V, 4, 4] with OpenCV axes, ``proprio`` [B, P]."""
 
 Batch: TypeAlias = Mapping[str, jax.Array]
-"""An observation with ``action`` float32 [B, T, A] in raw units and ``is_pad`` bool [B, T]."""
+"""An observation with ``action`` float32 [B, T, A] in raw units, ``keyframe`` float32 [B, T, 3]
+(base frame, metres) and ``is_pad`` bool [B, T]."""
 
 Key: TypeAlias = jax.Array | None
 """A JAX random key; ``None`` switches every random part (dropout, latent noise) off."""
@@ -42,6 +43,7 @@ class Policy:
         act: ``act(params, obs, key)`` gives actions [B, T, A] in raw units.
         config: The policy's own settings.
         spec: The sizes it was built for.
+        execute: How many actions of a chunk are executed before the policy is asked again.
     """
 
     init: Callable[[jax.Array], Params]
@@ -49,3 +51,4 @@ class Policy:
     act: Callable[[Params, Obs, Key], jax.Array]
     config: Any
     spec: PolicySpec
+    execute: int
