@@ -214,7 +214,7 @@ def test_weights_start_as_in_pytorch():
     assert largest(latent["encoder"]["layers"]["0"]["attention"]["out"]) == near(16**-0.5)
     convs = params["vision"]["image"]["convs"]
     assert largest(convs["0"]) == near((9 * 8) ** -0.5)
-    assert float(head["query"].std()) == near(1.0)
+    assert float(head["image_position"].std()) == near(1.0)
 
 
 def test_sine_table_matches_the_golden_values():
