@@ -2,9 +2,10 @@
 
     python benchmarks/conditioning.py --seeds 0 1 2 --pairs 200
 
-Trains every (conditioning, seed) with `python -m jaxcam.train` and the preset's own budget, one run
-after the other; runs that are complete are kept, so it can be stopped and started again. Writes
-`results/<task>-<scene>/`: the rows of all rollouts, a figure, and a table with the paired difference.
+Trains every (conditioning, seed) with `python -m jaxcam.train` and the preset's own budget, one
+run after the other; runs that are complete are kept, so it can be stopped and started again.
+Writes `results/<task>-<scene>/`: the rows of all rollouts, a figure, and a table with the paired
+difference.
 """
 
 import argparse
@@ -71,7 +72,7 @@ def write(args: argparse.Namespace, rows: dict[str, list[dict]], minutes: dict) 
         f"`python benchmarks/conditioning.py --arms {' '.join(args.arms)} --seeds "
         f"{' '.join(map(str, args.seeds))} --pairs {args.pairs}`",
         "",
-        f"| conditioning | seeds | success on {args.pairs} held-out pairs | each seed | minutes a run |",
+        f"| conditioning | seeds | success on {args.pairs} held-out pairs | each seed | minutes |",
         "|---|---|---|---|---|",
     ]
     for arm, some in rows.items():
@@ -79,10 +80,8 @@ def write(args: argparse.Namespace, rows: dict[str, list[dict]], minutes: dict) 
             continue
         seeds = sorted({r["seed"] for r in some})
         each = [100 * success_rate(r for r in some if r["seed"] == s).value for s in seeds]
-        lines.append(
-            f"| {arm} | {len(seeds)} | {success_rate(some)} | "
-            f"{', '.join(f'{x:.1f}' for x in each)} | {', '.join(f'{m:.1f}' for m in minutes[arm])} |"
-        )
+        each, took = (", ".join(f"{x:.1f}" for x in xs) for xs in (each, minutes[arm]))
+        lines.append(f"| {arm} | {len(seeds)} | {success_rate(some)} | {each} | {took} |")
     for arm in args.arms[:-1]:
         if rows[arm] and rows[baseline]:
             lines += [

@@ -89,13 +89,10 @@ def main() -> None:
     task = make_task("lift")
     scene = build_scene(task.objects(), args.scene)
     view = make_view(task, scene, args.size, args.views)
-    workers = os.cpu_count() or 1
     programs: dict[str, Callable[[], np.ndarray]] = {}
     for shadows, suffix in ((True, ""), (False, ", no shadows")):
-        for n in sorted({1, workers}):
-            ours = Renderer(scene, args.size, varied=task.varied, shadows=shadows, workers=n)
-            name = f"jaxcam, {n} worker{'s' if n > 1 else ''}{suffix}"
-            programs[name] = lambda ours=ours: ours.rgb(view)
+        ours = Renderer(scene, args.size, varied=task.varied, shadows=shadows)
+        programs[f"jaxcam{suffix}"] = lambda ours=ours: ours.rgb(view)
     try:
         opengl = OpenGL(scene, task.varied, args.size)
     except Exception as error:  # whichever library is missing, each says so in its own way

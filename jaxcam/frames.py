@@ -4,25 +4,33 @@ A cache is one uint8 array on disk, `[frames, H, W, 3]`, read through a memory m
 as `<name>.part` beside a count of finished demonstrations, so an interrupted rendering goes on.
 """
 
+import functools
 import json
+import multiprocessing
 import os
 import shutil
+import signal
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import jax
 import numpy as np
 from rich.console import Console
 
-from jaxcam.demos import Demo, Demos
+from jaxcam.demos import Demo, Demos, Header
 from jaxcam.errors import DatasetError
 from jaxcam.progress import progress
 from jaxcam.rays import Camera
 from jaxcam.rundir import write_atomically
 from jaxcam.sim import make_task
 from jaxcam.sim.render import Renderer, View
-from jaxcam.sim.scene import build_scene
+from jaxcam.sim.scene import SceneName, build_scene
 
-DEMOS_PER_BATCH = 8
+DEMOS_PER_WORKER = 8
+"""Demonstrations below which another process is not worth its start."""
 
 
 @dataclass(frozen=True)
@@ -68,20 +76,51 @@ def load_frames(demos: Demos, resolution: int, console: Console | None = None) -
         path.parent.mkdir(parents=True, exist_ok=True)
         _check_room(path, frames * resolution * resolution * 3)
         part = _Part(path, (frames, resolution, resolution, 3))
-        task = make_task(demos.header.task)
-        scene = build_scene(task.objects(), demos.header.scene)  # type: ignore[arg-type]
-        renderer = Renderer(scene, resolution, varied=task.varied)
+        views = [_view(demo, demos, resolution) for demo in every[part.done :]]
         with progress(console, "rendering", frames, done=int(counts[: part.done].sum())) as advance:
-            for i in range(part.done, len(every), DEMOS_PER_BATCH):
-                some = every[i : i + DEMOS_PER_BATCH]
-                views = [_view(d, demos, resolution) for d in some]
-                joined = View(*(np.concatenate(x) for x in zip(*views, strict=True)))
-                pictures = renderer.rgb(joined)
-                part.write(int(first[i]), pictures, i + len(some))
+            for i, pictures in enumerate(_draw(demos.header, resolution, views), part.done):
+                part.write(int(first[i]), pictures, i + 1)
                 advance(len(pictures))
         part.finish()
     pictures = np.load(path, mmap_mode="r")
     return Frames(pictures, first, np.array([len(d.cameras) for d in every]))
+
+
+def _draw(header: Header, resolution: int, views: list[View]) -> Iterator[np.ndarray]:
+    """Pictures of each view in order; on a CPU by one process a core."""
+    workers = min(os.cpu_count() or 1, len(views) // DEMOS_PER_WORKER)
+    if workers < 2 or jax.default_backend() != "cpu":
+        yield from map(_renderer(header.task, header.scene, resolution).rgb, views)
+        return
+    # Not forked: JAX has threads. The pool asks for the main module's file when it spawns.
+    with ProcessPoolExecutor(
+        workers,
+        multiprocessing.get_context("spawn"),
+        initializer=signal.signal,
+        initargs=(signal.SIGINT, signal.SIG_IGN),  # Ctrl-C is this process's to answer
+    ) as pool:
+        work = deque[Future[np.ndarray]]()
+        try:
+            for view in views:
+                work.append(
+                    pool.submit(_draw_in_worker, header.task, header.scene, resolution, view)
+                )
+                if len(work) > 2 * workers:
+                    yield work.popleft().result()
+            while work:
+                yield work.popleft().result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+@functools.cache
+def _renderer(task_name: str, scene_name: SceneName, resolution: int) -> Renderer:
+    task = make_task(task_name)
+    return Renderer(build_scene(task.objects(), scene_name), resolution, varied=task.varied)
+
+
+def _draw_in_worker(task: str, scene: SceneName, resolution: int, view: View) -> np.ndarray:
+    return _renderer(task, scene, resolution).rgb(view)
 
 
 def _check_room(path: Path, size: int) -> None:

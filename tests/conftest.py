@@ -33,7 +33,7 @@ def renderer(lift, scene):
     """A renderer of the randomised scene whose batches are small, so that they get padded."""
     from jaxcam.sim.render import Renderer
 
-    return Renderer(scene, PIXELS, varied=lift.varied, batch=4, workers=1)
+    return Renderer(scene, PIXELS, varied=lift.varied, batch=4)
 
 
 @pytest.fixture(scope="session")

@@ -65,7 +65,7 @@ def on_box(points, pose, half):
 @pytest.fixture(scope="module", params=["randomized", "fixed"])
 def drawn(request, lift, scenes):
     scene = scenes[request.param]
-    renderer = Renderer(scene, HEIGHT, WIDTH, varied=lift.varied, batch=4, workers=1)
+    renderer = Renderer(scene, HEIGHT, WIDTH, varied=lift.varied, batch=4)
     view = make_view(lift, scene)
     if request.param == "fixed":  # the table may be moved there too
         view.fixtures[:, 0, :2] = np.random.default_rng(0).uniform(-0.2, 0.2, (COUNT, 2))
@@ -106,9 +106,9 @@ def test_a_view_alone_equals_the_same_view_in_a_batch(drawn):
         np.testing.assert_array_equal(planar[0], depth[i])
 
 
-def test_workers_and_batch_width_change_nothing(lift, drawn):
+def test_batch_width_changes_nothing(lift, drawn):
     scene, _, view, rgb, _ = drawn
-    other = Renderer(scene, HEIGHT, WIDTH, varied=lift.varied, batch=1, workers=3)
+    other = Renderer(scene, HEIGHT, WIDTH, varied=lift.varied, batch=1)
     np.testing.assert_array_equal(other.rgb(view), rgb)
 
 
@@ -123,7 +123,7 @@ def test_pictures_are_bytes_and_not_blown_out(drawn):
 
 def test_the_green_cube_is_where_the_camera_projects_it(lift, scene):
     size = 64
-    renderer = Renderer(scene, size, varied=lift.varied, batch=4, workers=1)
+    renderer = Renderer(scene, size, varied=lift.varied, batch=4)
     view = make_view(lift, scene, 12, size, size, seed=8)
     rgb = renderer.rgb(view).astype(int)
     checked = 0
@@ -150,7 +150,7 @@ def test_up_in_the_world_is_up_in_the_picture(lift, scene):
     level = np.eye(4)
     level[:3, :3] = np.array([[0, 1, 0], [0, 0, -1], [-1, 0, 0]]).T
     level[:3, 3] = 1.2, 0.9, 1.1
-    renderer = Renderer(scene, HEIGHT, WIDTH, varied=lift.varied, batch=1, workers=1)
+    renderer = Renderer(scene, HEIGHT, WIDTH, varied=lift.varied, batch=1)
     K = np.array([[[30.0, 0, WIDTH / 2], [0, 30, HEIGHT / 2], [0, 0, 1]]])
     rgb, depth = renderer.rgb_and_depth(View(*start, K, level[None]))
     assert np.isinf(depth[0, 0]).all()

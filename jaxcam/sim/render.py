@@ -7,7 +7,6 @@ only the render and bounding-volume kernels are ever compiled (once, then cached
 
 import copy
 import os
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import jax
@@ -68,8 +67,9 @@ class Renderer:
         batch: worlds per call of the kernel, fixed for good: smaller batches are padded.
         shadows: cast shadows by the key light.
         samples: sub-pixel samples per axis; 2 smooths edges at four times the cost.
-        workers: kernels run side by side, each on its own share of a batch. Warp uses one CPU
-            thread a launch, so this is what spreads a batch over cores; 1 on CUDA. None: by device.
+
+    On a CPU Warp draws with one thread, and no two renderers of a process at a time: to use more
+    cores, use more processes (`jaxcam.frames`).
     """
 
     def __init__(
@@ -82,19 +82,12 @@ class Renderer:
         batch: int = 32,
         shadows: bool = True,
         samples: int = 1,
-        workers: int | None = None,
     ) -> None:
         self.scene, self.height, self.width = scene, height, width or height
         self.samples, self.batch = samples, batch
         model = scene.visual
         self._varied = np.array([model.geom(f"{name}_vis").id for name in varied], int)
-        if workers is None:
-            workers = 1 if jax.default_backend() == "gpu" else os.cpu_count() or 1
-        self._kernels = [
-            _Kernel(model, batch, self.height * samples, self.width * samples, shadows)
-            for _ in range(workers)
-        ]
-        self._pool = ThreadPoolExecutor(workers)
+        self._kernel = _Kernel(model, batch, self.height * samples, self.width * samples, shadows)
         self._data = mujoco.MjData(model)
 
     @staticmethod
@@ -116,14 +109,11 @@ class Renderer:
         depth = np.empty((count, self.height, self.width), np.float32)
         inputs = self._inputs(view)
 
-        def run(worker: int) -> None:
-            for first in range(worker * self.batch, count, len(self._kernels) * self.batch):
-                rows = slice(first, min(first + self.batch, count))
-                picture, planar = self._kernels[worker](_Inputs(*(x[rows] for x in inputs)))
-                rgb[rows] = self._shrink(picture)
-                depth[rows] = planar[:, :: self.samples, :: self.samples]
-
-        list(self._pool.map(run, range(len(self._kernels))))
+        for first in range(0, count, self.batch):
+            rows = slice(first, min(first + self.batch, count))
+            picture, planar = self._kernel(_Inputs(*(x[rows] for x in inputs)))
+            rgb[rows] = self._shrink(picture)
+            depth[rows] = planar[:, :: self.samples, :: self.samples]
         return rgb, depth
 
     def _shrink(self, picture: np.ndarray) -> np.ndarray:
