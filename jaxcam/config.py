@@ -41,7 +41,7 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     },
     ("act", "laptop"): {
         "conditioning": "keypoints", "precision": "float32", "resolution": 84,
-        "steps": 6000, "batch": 64, "lr": 1e-3, "weight_decay": 1e-4,
+        "steps": 4000, "batch": 64, "lr": 1e-3, "weight_decay": 1e-4,
         "schedule": "cosine", "warmup": 200, "crop_min": 0.8,
         "log_every": 50, "eval_every": 500, "save_every": 500, "steps_per_call": 10,
     },
