@@ -60,38 +60,36 @@ def test_every_frame_has_one_place(demos, frames):
 
 
 def test_a_second_load_renders_nothing(demos, frames, monkeypatch):
-    monkeypatch.setattr(frames_module, "Renderer", _NoRenderer)
+    monkeypatch.setattr(frames_module, "_draw", None)
     again = load_frames(demos, PIXELS)
     np.testing.assert_array_equal(again.pictures, frames.pictures)
     assert not again.pictures.flags.writeable
 
 
-class _NoRenderer:
-    identity = staticmethod(Renderer.identity)
-
-    def __init__(self, *args, **kwargs):
-        raise AssertionError("rendered again")
-
-
 def test_an_interrupted_rendering_ends_as_an_uninterrupted_one(elsewhere, frames, monkeypatch):
-    monkeypatch.setattr(frames_module, "DEMOS_PER_BATCH", 2)
-    rendered = []
+    draw, rendered = frames_module._draw, []
 
-    class Dying(Renderer):
-        def rgb(self, view):
-            rendered.append(len(view.qpos))
+    def dying(*args):
+        for pictures in draw(*args):
+            rendered.append(len(pictures))
             if len(rendered) == 3:
                 raise KeyboardInterrupt
-            return super().rgb(view)
+            yield pictures
 
-    monkeypatch.setattr(frames_module, "Renderer", Dying)
+    monkeypatch.setattr(frames_module, "_draw", dying)
     with pytest.raises(KeyboardInterrupt):
         load_frames(elsewhere, PIXELS)
     assert not any(name.endswith(".npy") for name in pictures_in(elsewhere))
     resumed = load_frames(elsewhere, PIXELS)
     np.testing.assert_array_equal(resumed.pictures, frames.pictures)
-    assert len(rendered) == 4  # two batches before, the third again
+    assert len(rendered) == 3 + 4  # two were kept, the third is rendered again
     assert [name.rsplit(".", 1)[1] for name in pictures_in(elsewhere)] == ["npy"]
+
+
+def test_one_process_a_core_renders_the_same(elsewhere, frames, monkeypatch):
+    monkeypatch.setattr(frames_module, "DEMOS_PER_WORKER", 1)
+    monkeypatch.setattr(frames_module.os, "cpu_count", lambda: 2)
+    np.testing.assert_array_equal(load_frames(elsewhere, PIXELS).pictures, frames.pictures)
 
 
 def test_no_room_on_the_disk(elsewhere, monkeypatch):
@@ -105,7 +103,6 @@ def test_no_room_on_the_disk(elsewhere, monkeypatch):
 
 
 def test_a_disk_that_fills_up_keeps_what_is_done(elsewhere, frames, monkeypatch):
-    monkeypatch.setattr(frames_module, "DEMOS_PER_BATCH", 3)
     write = frames_module._Part.write
 
     def full(self, first, pictures, done):

@@ -161,7 +161,7 @@ def test_up_in_the_world_is_up_in_the_picture(lift, scene):
 def test_supersampling_smooths_and_keeps_the_picture(lift, scene):
     view = make_view(lift, scene, 2)
     plain, smooth = (
-        Renderer(scene, HEIGHT, WIDTH, varied=lift.varied, batch=2, workers=1, samples=n).rgb(view)
+        Renderer(scene, HEIGHT, WIDTH, varied=lift.varied, batch=2, samples=n).rgb(view)
         for n in (1, 2)
     )
     assert smooth.shape == plain.shape
