@@ -103,7 +103,7 @@ def _draw(header: Header, resolution: int, views: list[View]) -> Iterator[np.nda
         try:
             for view in views:
                 work.append(
-                    pool.submit(_draw_in_worker, header.task, header.scene, resolution, view)
+                    pool.submit(_draw_in_worker, header.task, header.scene, resolution, view)  # type: ignore[arg-type]
                 )
                 if len(work) > 2 * workers:
                     yield work.popleft().result()
