@@ -35,7 +35,6 @@ def test_expert_succeeds_and_moves_its_set_point_gently(lift, scene, engine):
         assert set(demo.actions[:, 6]) == {-1.0, 1.0}
 
 
-@pytest.mark.xfail(strict=True, reason="the set-point jumps to the grip where a new move begins")
 def test_set_point_never_jumps(lift, scene, engine):
     for demo in run(lift, scene, engine, range(5_000_000, 5_000_012)):
         assert demo is not None

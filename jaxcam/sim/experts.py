@@ -1,7 +1,7 @@
 """Moves that scripted experts are made of.
 
-An expert is a generator of aims. `reach` walks its own set-point towards a goal by bounded steps,
-so the recorded command is smooth whatever the arm does, and waits for the arm at the end.
+An expert is a generator of aims. It walks a set-point by bounded steps, so the recorded command is
+smooth whatever the arm does, and waits for the arm where it matters.
 """
 
 from collections.abc import Callable, Iterator
@@ -21,49 +21,58 @@ PATIENCE = 80
 """Control steps after which a move is given up."""
 
 
-def reach(
-    sight: Sight,
-    goal: Callable[[], np.ndarray],
-    rotation: np.ndarray,
-    gripper: float,
-    *,
-    tolerance: float,
-    stray: float = 0.0,
-) -> Iterator[Aim]:
-    """Moves the grip site to a goal (m, world), which may move, until it is within `tolerance`.
-
-    The set-point covers the share `EASE` of what is left per step, at most `STEP`: fast far away,
-    gentle on arrival.
+class Hand:
+    """The set-point of an expert's gripper, which moves from where it is and never jumps.
 
     Args:
-        sight: what is seen, renewed between aims.
-        goal: where to.
-        rotation: of the grip site.
-        gripper: sign.
-        tolerance: distance (m) at which the move ends.
-        stray: chance per step to stray for a moment in a random direction. Corrections of such
-            errors are what a policy must be shown to recover from its own.
+        sight: what the expert sees, renewed between aims; the set-point starts at its grip pose
+            and keeps that orientation.
     """
-    point, astray, drift = sight.grip_position.copy(), 0, np.zeros(3)
-    for _ in range(PATIENCE):
-        left = goal() - point
-        way = np.linalg.norm(left)
-        move = left * min(EASE, STEP / max(way, 1e-9))
-        if stray and not astray and sight.rng.random() < stray:
-            astray = int(sight.rng.integers(*STRAY_STEPS))
-            direction = sight.rng.normal(size=3)
-            drift = STEP * sight.rng.random() * direction / np.linalg.norm(direction)
-        if astray:
-            astray, move = astray - 1, drift
-        point = point + move
-        yield Aim(point, rotation, gripper)
-        if not astray and np.linalg.norm(goal() - sight.grip_position) < tolerance:
-            return
 
+    def __init__(self, sight: Sight) -> None:
+        self._sight = sight
+        self._point = sight.grip_position.copy()
+        self._rotation = sight.grip_rotation.copy()
 
-def hold(
-    position: np.ndarray, rotation: np.ndarray, gripper: float, *, steps: int
-) -> Iterator[Aim]:
-    """Keeps a pose for a number of control steps."""
-    for _ in range(steps):
-        yield Aim(position, rotation, gripper)
+    def reach(
+        self,
+        goal: Callable[[], np.ndarray],
+        gripper: float,
+        *,
+        tolerance: float,
+        stray: float = 0.0,
+    ) -> Iterator[Aim]:
+        """Moves towards a goal (m, world), which may move, until the grip is within `tolerance`.
+
+        The set-point covers the share `EASE` of what is left per step, at most `STEP`: fast far
+        away, gentle on arrival.
+
+        Args:
+            goal: where to.
+            gripper: sign of the gripper's command.
+            tolerance: distance (m) between grip and goal at which the move ends.
+            stray: chance per step to stray for a moment in a random direction. Corrections of
+                such errors are what a policy must be shown to recover from its own.
+        """
+        rng, astray, drift = self._sight.rng, 0, np.zeros(3)
+        for _ in range(PATIENCE):
+            left = goal() - self._point
+            move = left * min(EASE, STEP / max(np.linalg.norm(left), 1e-9))
+            if stray and not astray and rng.random() < stray:
+                astray = int(rng.integers(*STRAY_STEPS))
+                direction = rng.normal(size=3)
+                drift = STEP * rng.random() * direction / np.linalg.norm(direction)
+            if astray:
+                astray, move = astray - 1, drift
+            yield self._move(move, gripper)
+            if not astray and np.linalg.norm(goal() - self._sight.grip_position) < tolerance:
+                return
+
+    def hold(self, gripper: float, *, steps: int) -> Iterator[Aim]:
+        """Keeps the set-point for a number of control steps."""
+        for _ in range(steps):
+            yield self._move(np.zeros(3), gripper)
+
+    def _move(self, move: np.ndarray, gripper: float) -> Aim:
+        self._point = self._point + move
+        return Aim(self._point, self._rotation, gripper)

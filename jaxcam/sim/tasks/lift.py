@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from jaxcam.rotations import Array
-from jaxcam.sim.experts import CLOSE, OPEN, hold, reach
+from jaxcam.sim.experts import CLOSE, OPEN, Hand
 from jaxcam.sim.scene import TABLE_TOP, BoxObject, Scene
 from jaxcam.sim.task import Aim, Sight, Task
 
@@ -56,14 +56,13 @@ class Lift(Task):
         the cube nor loses it when it has to correct.
         """
         cube = slice(scene.qpos_of("cube"), scene.qpos_of("cube") + 3)
-        rotation = sight.grip_rotation.copy()
+        hand = Hand(sight)
 
         def funnel() -> np.ndarray:
             aside = np.linalg.norm((sight.grip_position - sight.qpos[cube])[:2])
             return sight.qpos[cube] + [0, 0, np.clip(3 * (aside - FUNNEL), GRASP, HOVER)]
 
-        yield from reach(sight, funnel, rotation, OPEN, tolerance=0.008, stray=0.06)
-        place = sight.qpos[cube] + [0, 0, GRASP]
-        yield from hold(place, rotation, CLOSE, steps=8)
-        above = place + np.array([0, 0, 0.12])
-        yield from reach(sight, lambda: above, rotation, CLOSE, tolerance=0.02)
+        yield from hand.reach(funnel, OPEN, tolerance=0.008, stray=0.06)
+        yield from hand.hold(CLOSE, steps=8)
+        up = np.add(sight.grip_position, [0, 0, 0.12])
+        yield from hand.reach(lambda: up, CLOSE, tolerance=0.02)
