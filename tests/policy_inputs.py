@@ -91,10 +91,17 @@ def make(config: ActConfig, size: int = 16, views: int = 1) -> Policy:
     return replace(policy, init=jit(policy.init), loss=jit(policy.loss), act=jit(policy.act))
 
 
-@cache
 def start(policy: Policy) -> dict:
-    """A policy's parameters."""
-    return policy.init(jax.random.key(0))
+    """Parameters of the usual size, made without compiling the policy's own `init`."""
+    rng = np.random.default_rng(0)
+
+    def fill(path: tuple, leaf: jax.ShapeDtypeStruct) -> np.ndarray:
+        values = rng.normal(size=leaf.shape).astype(np.float32)
+        if path[-1].key == "scale":
+            return 1 + 0.1 * values
+        return values / np.float32(np.prod(leaf.shape[:-1])) ** 0.5
+
+    return jax.tree_util.tree_map_with_path(fill, shapes(policy))
 
 
 def shapes(policy: Policy) -> dict:

@@ -198,7 +198,7 @@ def test_none_keeps_the_network_it_is_compared_with():
 
 def test_weights_start_as_in_pytorch():
     policy = make(tiny("paper", "late"))
-    params = start(policy)
+    params = policy.init(jax.random.key(0))
     head, latent = params["head"], params["latent"]
 
     def largest(layer):
