@@ -116,14 +116,14 @@ def measure(programs: dict[str, Callable[[], np.ndarray]], args: argparse.Namesp
     ratios = {name: float(np.median(np.array(t) / one)) for name, t in times.items()}
     cores, load = os.cpu_count(), os.getloadavg()[0]
     print(f"Lift, {args.scene} scene, {args.size} x {args.size}, {cores} cores, load {load:.1f}:")
-    print(f"  {'':28} {'ms a frame':>11} {'of one worker':>14}")
+    print(f"  {'':28} {'ms a frame':>11} {'of the first':>14}")
     for name, values in times.items():
         print(f"  {name:28} {np.median(values):11.2f} {ratios[name]:14.2f}")
     found: dict[str, Any] = {
         "what": f"milliseconds a frame of Lift at {args.size} px, medians over rounds",
         "scene": args.scene,
         "ms": {name: float(np.median(t)) for name, t in times.items()},
-        "times_of_one_worker": ratios,
+        "times_of_the_first": ratios,
     }
     if "mujoco.Renderer" in pictures:
         first = next(iter(pictures.values())).astype(float)

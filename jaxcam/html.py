@@ -216,12 +216,11 @@ def _checkpoints(rows: Sequence[Row]) -> str:
 
 
 def _commands(run_dir: str | Path, config: TrainConfig) -> str:
-    """How to train, evaluate and write this page again."""
+    """How to train and evaluate again; evaluating writes this page anew."""
     folder = shlex.quote(str(run_dir))
     lines = (
         reproduce_command(config),
         f"python -m jaxcam.evaluate {folder} --pairs 200",
-        f"python -m jaxcam.report {folder}",
     )
     # Whole words, so that a browser does not break a line inside a flag.
     shown = [

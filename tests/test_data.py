@@ -155,3 +155,20 @@ def test_validation_is_fixed_and_of_held_out_demonstrations(dataset, demos):
     assert not (poses[:, None] == training.reshape(-1, 16)).all(-1).any()
     assert (batch["proprio"][0] == dataset.proprio[4, 0]).all()
     assert (batch["proprio"][4] == dataset.proprio[4, dataset.lengths[4] - 1]).all()
+
+
+def test_a_keyframe_is_where_the_grip_is_when_its_command_next_changes(dataset, demos, scene):
+    demo = demos.train[0]
+    closing = int(np.argmax(demo.actions[:, 6] > 0))
+    assert 0 < closing < demo.length
+    base = scene.world_from_base[:3, 3]
+    expected = np.where(
+        np.arange(demo.length)[:, None] < closing, demo.eef_pos[closing], demo.eef_pos[-1]
+    )
+    np.testing.assert_allclose(
+        dataset.keyframes[0, : demo.length], expected - base, rtol=0, atol=1e-6
+    )
+    batch = dataset.batch(np.array([0]), np.array([closing - 1]), np.array([[0]]), 3)
+    np.testing.assert_allclose(
+        batch["keyframe"][0], (expected - base)[closing - 1 : closing + 2], atol=1e-6
+    )

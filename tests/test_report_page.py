@@ -137,7 +137,7 @@ def test_only_held_out_pairs_of_the_newest_checkpoint_are_the_result(run):
 
 
 def test_run_that_has_not_been_evaluated(tmp_path):
-    (tmp_path / "config.json").write_text(to_json(resolve(TrainConfig(), accelerator=False)))
+    (tmp_path / "config.json").write_text(to_json(resolve(TrainConfig(steps=6000), accelerator=False)))
     text = Page(write_report(tmp_path)).text
     assert "Not evaluated yet" in text
     assert "0 of 6,000" in text

@@ -100,7 +100,10 @@ class Renderer:
         return self._draw(view)[0]
 
     def rgb_and_depth(self, view: View) -> tuple[np.ndarray, np.ndarray]:
-        """Pictures uint8 [B, H, W, 3], and planar depth (m) float32 [B, H, W], inf where empty."""
+        """Pictures uint8 [B, H, W, 3], and planar depth (m) float32 [B, H, W], inf where empty.
+
+        With several samples per pixel the depth is that of each pixel's upper left one.
+        """
         return self._draw(view)
 
     def _draw(self, view: View) -> tuple[np.ndarray, np.ndarray]:

@@ -19,6 +19,7 @@ from typing import Any, Literal
 import mujoco
 import numpy as np
 
+_disabled = logging.root.manager.disable
 logging.disable(logging.WARNING)  # robosuite warns of parts of it that are not used here
 from robosuite.models.arenas import TableArena  # noqa: E402
 from robosuite.models.bases import robot_base_factory  # noqa: E402
@@ -27,7 +28,7 @@ from robosuite.models.objects import BoxObject  # noqa: E402
 from robosuite.models.robots import Panda  # noqa: E402
 from robosuite.models.tasks import ManipulationTask  # noqa: E402
 
-logging.disable(logging.NOTSET)
+logging.disable(_disabled)
 
 __all__ = ["SCENES", "TABLE_TOP", "BoxObject", "Scene", "SceneName", "build_scene"]
 
