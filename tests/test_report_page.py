@@ -55,7 +55,7 @@ def write_lines(path, rows):
 @pytest.fixture
 def run(tmp_path):
     """A finished run, except for plots and videos."""
-    config = resolve(TrainConfig(lr=5e-4, model=("width=256",)), accelerator=False)
+    config = resolve(TrainConfig(steps=6000, lr=5e-4, model=("width=256",)), accelerator=False)
     (tmp_path / "config.json").write_text(to_json(config))
     write_lines(tmp_path / "metrics.jsonl", training())
     write_lines(tmp_path / "eval" / "rows.jsonl", evaluation([1] * 20 + [0] * 30))
@@ -137,7 +137,9 @@ def test_only_held_out_pairs_of_the_newest_checkpoint_are_the_result(run):
 
 
 def test_run_that_has_not_been_evaluated(tmp_path):
-    (tmp_path / "config.json").write_text(to_json(resolve(TrainConfig(steps=6000), accelerator=False)))
+    (tmp_path / "config.json").write_text(
+        to_json(resolve(TrainConfig(steps=6000), accelerator=False))
+    )
     text = Page(write_report(tmp_path)).text
     assert "Not evaluated yet" in text
     assert "0 of 6,000" in text
