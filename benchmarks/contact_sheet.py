@@ -18,14 +18,14 @@ from jaxcam.rays import sample_poses
 from jaxcam.sim import make_task
 from jaxcam.sim.native import NativeEngine
 from jaxcam.sim.render import Renderer, View
-from jaxcam.sim.scene import SceneName, build_scene
+from jaxcam.sim.scene import build_scene
 from jaxcam.sim.task import starts
 
 COLUMNS, TILE, GAP = 6, 184, 6
 TEST_CAMERAS, FIRST_EPISODE = 23, 7
 
 
-def episodes(name: SceneName) -> np.ndarray:
+def episodes(name: str) -> np.ndarray:
     """Starts of episodes, each from a camera of its own; the fixed scene's is one start."""
     task = make_task("lift")
     scene = build_scene(task.objects(), name)

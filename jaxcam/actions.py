@@ -7,42 +7,37 @@ time deltas are accumulated from there. Rotations compose on SO(3):
 R_next = exp(delta) R, axes of the base.
 """
 
-from typing import Literal, get_args
-
 import numpy as np
 
 from jaxcam.rotations import matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.sim.engine import ControllerName, State
 
-ActionSpace = Literal["eef_delta", "eef_abs", "joint_delta", "joint_abs"]
-ACTION_SPACES: tuple[ActionSpace, ...] = get_args(ActionSpace)
+ACTION_SPACES = ("eef_delta", "eef_abs", "joint_delta", "joint_abs")
 
 
-def is_joint(space: ActionSpace) -> bool:
+def is_joint(space: str) -> bool:
     """Whether actions are joint angles rather than grip poses."""
     return space.startswith("joint")
 
 
-def controller_of(space: ActionSpace) -> ControllerName:
+def controller_of(space: str) -> ControllerName:
     """The controller that executes a space's targets."""
     return "joint_position" if is_joint(space) else "osc_pose"
 
 
-def action_dim(space: ActionSpace) -> int:
+def action_dim(space: str) -> int:
     """Size of an action, gripper included."""
     return 8 if is_joint(space) else 7
 
 
-def measured(space: ActionSpace, state: State, arm: np.ndarray) -> np.ndarray:
+def measured(space: str, state: State, arm: np.ndarray) -> np.ndarray:
     """What deltas start from: the measured grip pose [B, 6] or joint angles [B, 7]."""
     if is_joint(space):
         return np.asarray(state.qpos)[:, arm]
     return np.concatenate([state.grip_position, rotvec_from_matrix(state.grip_rotation)], -1)
 
 
-def encode(
-    space: ActionSpace, targets: np.ndarray, gripper: np.ndarray, start: np.ndarray
-) -> np.ndarray:
+def encode(space: str, targets: np.ndarray, gripper: np.ndarray, start: np.ndarray) -> np.ndarray:
     """Turns a demonstration's absolute targets into actions.
 
     Args:
@@ -66,9 +61,7 @@ def encode(
     return np.concatenate([moves, gripper[:, None]], -1)
 
 
-def decode(
-    space: ActionSpace, actions: np.ndarray, anchor: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def decode(space: str, actions: np.ndarray, anchor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Turns a batch of action chunks into absolute targets.
 
     Args:

@@ -13,13 +13,14 @@ from rich.console import Console
 
 from jaxcam.demos import Demo, Demos, DemoWriter, Header, read_demos
 from jaxcam.errors import SimError, run_main
+from jaxcam.locks import exclusive
 from jaxcam.progress import progress
 from jaxcam.rays import sample_poses, stair, stair_cameras
 from jaxcam.rotations import quaternion_from_matrix, rotvec_from_matrix
 from jaxcam.sim import make_task
-from jaxcam.sim.engine import Command, Engine, State
+from jaxcam.sim.engine import Command, Engine, Start, State
 from jaxcam.sim.native import NativeEngine
-from jaxcam.sim.scene import Scene, build_scene
+from jaxcam.sim.scene import Scene
 from jaxcam.sim.task import Aim, Sight, Task, starts
 
 FIRST_SEED = 42
@@ -52,10 +53,12 @@ def collect(config: CollectConfig, console: Console | None = None) -> Demos:
     path = dataset_path(config)
     if not path.exists():
         task = make_task(config.task)
-        scene = build_scene(task.objects(), config.scene)  # type: ignore[arg-type]
-        with DemoWriter(path, _header(config, task, scene)) as writer:
-            _fill(writer, task, scene, console)
-            writer.finish()
+        scene = task.scene(config.scene)
+        with exclusive(path, console):
+            if not path.exists():
+                with DemoWriter(path, _header(config, task, scene)) as writer:
+                    _fill(writer, task, scene, console)
+                    writer.finish()
     return read_demos(path, task=config.task, scene=config.scene)
 
 
@@ -168,7 +171,7 @@ def _command(aim: Aim | None) -> np.ndarray:
 
 
 def _demo(
-    trace: list[State], commands: list[np.ndarray], start: object, i: int, seed: int, length: int
+    trace: list[State], commands: list[np.ndarray], start: Start, i: int, seed: int, length: int
 ) -> Demo:
     rows = trace[: length + 1]
     time = np.arange(length + 1)[:, None] / 20.0
@@ -182,8 +185,8 @@ def _demo(
         eef_pos=np.stack([s.grip_position[i] for s in rows]),
         eef_quat=np.roll(quat, -1, -1),
         gripper=np.array([s.closed[i] for s in rows]),
-        geom_size=start.geom_size[i],  # type: ignore[attr-defined]
-        fixtures=start.fixtures[i],  # type: ignore[attr-defined]
+        geom_size=start.geom_size[i],
+        fixtures=start.fixtures[i],
         cameras=np.empty(0, int),
     )
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxcam.actions import ActionSpace, encode, is_joint
+from jaxcam.actions import encode, is_joint
 from jaxcam.demos import Demo, Demos
 from jaxcam.frames import Frames, intrinsics
 from jaxcam.rays import invert
@@ -123,7 +123,7 @@ class Dataset:
 def make_dataset(
     demos: Demos,
     frames: Frames,
-    space: ActionSpace,
+    space: str,
     scene: Scene,
 ) -> Dataset:
     """Turns demonstrations into arrays, their commands into actions of a space.
@@ -172,7 +172,7 @@ def _keyframes(demo: Demo, scene: Scene) -> np.ndarray:
     return (world - scene.world_from_base[:3, 3]) @ scene.world_from_base[:3, :3]
 
 
-def demo_actions(demo: Demo, space: ActionSpace, nq: int, arm: np.ndarray) -> np.ndarray:
+def demo_actions(demo: Demo, space: str, nq: int, arm: np.ndarray) -> np.ndarray:
     """A demonstration's commands as actions [T, A]; joint targets are the joints reached."""
     qpos = demo.qpos(nq)
     if is_joint(space):

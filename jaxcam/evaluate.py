@@ -9,8 +9,8 @@ from jaxcam.config import EvaluateConfig, TrainConfig, cli
 if __name__ == "__main__":
     cli(EvaluateConfig)  # --help and bad flags are answered before the slow imports
 
+from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -32,14 +32,15 @@ from jaxcam.sim import make_task
 from jaxcam.sim.native import NativeEngine
 from jaxcam.sim.render import Renderer, View
 from jaxcam.sim.rollout import Rollouts, rollout
-from jaxcam.sim.scene import build_scene
 from jaxcam.sim.task import starts
-from jaxcam.stats import Estimate, success_rate
+from jaxcam.stats import Estimate, latest_rows, success_rate
 from jaxcam.video import grid, write_video
 
 SPLITS = {"test": (1_000_000, 23), "validation": (2_000_000, 5)}
 """First episode seed and camera seed of each set of pairs. `test` has the authors' released test
 cameras; settings are chosen on `validation`."""
+ATTEMPTS = 2
+"""Times that a pair is run whose rollout ends in an error of the physics or the policy."""
 VIDEO_PIXELS = 160
 VIDEO_STRIDE = 2
 """Control steps per frame of a video."""
@@ -47,27 +48,22 @@ VIDEO_STRIDE = 2
 Row = dict[str, Any]
 
 
-@dataclass
 class Evaluator:
-    """Runs pairs of one task, scene and action space; the compiled parts are made once."""
+    """Runs pairs of one task, scene and action space; the compiled parts are made once.
 
-    config: TrainConfig
-    width: int = 50
-    """Rollouts simulated at once. Policies see batches of exactly this many, since the width can
-    change a result's last digits; it is kept in each row."""
-    _parts: tuple[Any, ...] = field(init=False, repr=False)
+    Args:
+        config: of the runs whose policies are evaluated.
+        width: rollouts simulated at once. Policies see batches of exactly this many, since the
+            width can change a result's last digits; it is kept in each row.
+    """
 
-    def __post_init__(self) -> None:
-        config = self.config
-        task = make_task(config.task)
-        scene = build_scene(task.objects(), config.scene)  # type: ignore[arg-type]
-        engine = NativeEngine(scene, controller_of(config.action_space), varied=task.varied)  # type: ignore[arg-type]
-        self._parts = task, scene, engine, Renderer(scene, config.resolution, varied=task.varied)
-
-    @property
-    def world_from_base(self) -> np.ndarray:
-        """Pose of the robot's base [4, 4]."""
-        return self._parts[1].world_from_base
+    def __init__(self, config: TrainConfig, width: int = 50) -> None:
+        self.config, self.width = config, width
+        self.task = make_task(config.task)
+        self.scene = self.task.scene(config.scene)
+        varied = self.task.varied
+        self.engine = NativeEngine(self.scene, controller_of(config.action_space), varied=varied)
+        self.renderer = Renderer(self.scene, config.resolution, varied=varied)
 
     def run(
         self,
@@ -94,24 +90,23 @@ class Evaluator:
         Returns:
             One row per pair, and the rollouts.
         """
-        task, scene, engine, renderer = self._parts
-        config = self.config
+        config, task = self.config, self.task
         seed, cameras = self._pairs(split, pairs)
         act = _padded(jax.jit(policy.act), params, self.width, config.seed)
-        start = starts(task, scene, [seed + p for p in pairs])
+        start = starts(task, self.scene, [seed + p for p in pairs])
         K = np.broadcast_to(
             intrinsics(task.fovy_deg, config.resolution), (*cameras.shape[:2], 3, 3)
         )
         done = rollout(
             act,
             task,
-            scene,
-            engine,
-            renderer,
+            self.scene,
+            self.engine,
+            self.renderer,
             start,
             K,
             cameras,
-            config.action_space,  # type: ignore[arg-type]
+            config.action_space,
             policy.execute,
             tick,
         )
@@ -145,10 +140,10 @@ class Evaluator:
 
     def clips(self, done: Rollouts, split: str, pairs: Sequence[int]) -> list[np.ndarray]:
         """Videos of rollouts as their first camera saw them, uint8 [T, H, W, 3] each."""
-        task, scene, _, _ = self._parts
+        task = self.task
         seed, cameras = self._pairs(split, pairs)
-        renderer = Renderer(scene, VIDEO_PIXELS, varied=task.varied)
-        start = starts(task, scene, [seed + p for p in pairs])
+        renderer = Renderer(self.scene, VIDEO_PIXELS, varied=task.varied)
+        start = starts(task, self.scene, [seed + p for p in pairs])
         K = intrinsics(task.fovy_deg, VIDEO_PIXELS)
         clips = []
         for i in range(len(pairs)):
@@ -166,22 +161,20 @@ class Evaluator:
 
     def sight(self, split: str, pair: int) -> tuple[np.ndarray, np.ndarray]:
         """What a policy sees at a pair's start: picture uint8 [H, W, 3] and ray-map [H, W, 6]."""
-        task, scene, _, renderer = self._parts
         seed, cameras = self._pairs(split, [pair])
-        start = starts(task, scene, [seed + pair])
-        K = intrinsics(task.fovy_deg, self.config.resolution)[None]
+        start = starts(self.task, self.scene, [seed + pair])
+        K = intrinsics(self.task.fovy_deg, self.config.resolution)[None]
         view = View(start.qpos, start.geom_size, start.fixtures, K, cameras[:, 0])
         size = self.config.resolution
         camera = Camera(K[0], cameras[0, 0], size, size)
-        rays = camera.in_frame(np.linalg.inv(scene.world_from_base)).plucker()
-        return renderer.rgb(view)[0], np.asarray(rays)
+        rays = camera.in_frame(np.linalg.inv(self.scene.world_from_base)).plucker()
+        return self.renderer.rgb(view)[0], np.asarray(rays)
 
     def _pairs(self, split: str, pairs: Sequence[int]) -> tuple[int, np.ndarray]:
         """First episode seed, and cameras [B, V, 4, 4]: pair p has poses V p to V p + V - 1."""
-        task = self._parts[0]
         first, camera_seed = SPLITS[split]
         views = self.config.views
-        poses = sample_poses(task.cameras, views * (max(pairs) + 1), camera_seed)
+        poses = sample_poses(self.task.cameras, views * (max(pairs) + 1), camera_seed)
         return first, poses.reshape(-1, views, 4, 4)[list(pairs)]
 
 
@@ -211,6 +204,8 @@ def evaluate(
 ) -> Estimate:
     """Runs the pairs of a checkpoint that have no row yet, and writes rows, and a video.
 
+    A rollout that ends in an error is run once more; then it is counted, and told, as an error.
+
     Args:
         evaluator: of the run's task.
         policy: the policy.
@@ -228,21 +223,21 @@ def evaluate(
     file = folder / "eval" / "rows.jsonl"
     file.parent.mkdir(parents=True, exist_ok=True)
 
-    def finished() -> list[Row]:
-        rows = read_jsonl(file)
-        same = {"step": step, "split": split, "width": evaluator.width}
-        return [
-            r
-            for r in rows
-            if r["status"] == "ok" and r["pair"] < pairs and all(r[k] == v for k, v in same.items())
-        ]
+    same = {"step": step, "split": split, "width": evaluator.width}
 
-    have = {r["pair"] for r in finished()}
-    todo = [p for p in range(pairs) if p not in have]
-    chunks = [todo[i : i + evaluator.width] for i in range(0, len(todo), evaluator.width)]
-    horizon = make_task(evaluator.config.task).horizon
-    with progress(console, "evaluating", horizon * len(chunks)) as advance:
-        for number, some in enumerate(chunks):
+    def rows_so_far() -> list[Row]:
+        rows = (r for r in read_jsonl(file) if all(r[k] == v for k, v in same.items()))
+        return [r for r in rows if r["pair"] < pairs]
+
+    def to_run() -> list[int]:
+        tries = Counter(r["pair"] for r in rows_so_far())
+        done = {r["pair"] for r in rows_so_far() if r["status"] == "ok"}
+        return [p for p in range(pairs) if p not in done and tries[p] < ATTEMPTS]
+
+    horizon = evaluator.task.horizon
+    batches = -(-len(to_run()) // evaluator.width)
+    with progress(console, "evaluating", horizon * batches) as advance:
+        while some := to_run()[: evaluator.width]:
             steps = 0
 
             def tick() -> None:
@@ -255,13 +250,12 @@ def evaluate(
             )
             advance(horizon - steps)
             append_jsonl(file, *rows, fsync=True)
-            if number == 0 and videos:
-                shown = some[:videos]
-                clips = evaluator.clips(done, split, shown)
-                film = grid(clips, rows=rows[: len(shown)])
+            if videos:
+                shown, videos = some[:videos], 0
+                film = grid(evaluator.clips(done, split, shown), rows=rows[: len(shown)])
                 (folder / "videos").mkdir(exist_ok=True)
                 write_video(folder / "videos" / f"{split}-{step:06d}.mp4", film, fps=10)
-    return success_rate(finished())
+    return success_rate(latest_rows(rows_so_far()))
 
 
 def main() -> None:

@@ -22,12 +22,12 @@ from rich.console import Console
 
 from jaxcam.demos import Demo, Demos, Header
 from jaxcam.errors import DatasetError
+from jaxcam.locks import exclusive
 from jaxcam.progress import progress
 from jaxcam.rays import Camera
 from jaxcam.rundir import write_atomically
 from jaxcam.sim import make_task
 from jaxcam.sim.render import Renderer, View
-from jaxcam.sim.scene import SceneName, build_scene
 
 DEMOS_PER_WORKER = 8
 """Demonstrations below which another process is not worth its start."""
@@ -69,21 +69,34 @@ def load_frames(demos: Demos, resolution: int, console: Console | None = None) -
     every = demos.train + demos.valid
     counts = np.array([d.length * len(d.cameras) for d in every])
     first = np.concatenate([[0], np.cumsum(counts)[:-1]])
-    frames = int(counts.sum())
     name = f"{demos.path.stem}-{demos.fingerprint}-{resolution}px-{Renderer.identity()}.npy"
     path = demos.path.parent / "frames" / name
     if not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _check_room(path, frames * resolution * resolution * 3)
-        part = _Part(path, (frames, resolution, resolution, 3))
-        views = [_view(demo, demos, resolution) for demo in every[part.done :]]
-        with progress(console, "rendering", frames, done=int(counts[: part.done].sum())) as advance:
-            for i, pictures in enumerate(_draw(demos.header, resolution, views), part.done):
-                part.write(int(first[i]), pictures, i + 1)
-                advance(len(pictures))
-        part.finish()
+        with exclusive(path, console):
+            if not path.exists():
+                _render(path, demos, resolution, first, counts, console)
     pictures = np.load(path, mmap_mode="r")
     return Frames(pictures, first, np.array([len(d.cameras) for d in every]))
+
+
+def _render(
+    path: Path,
+    demos: Demos,
+    resolution: int,
+    first: np.ndarray,
+    counts: np.ndarray,
+    console: Console | None,
+) -> None:
+    frames = int(counts.sum())
+    _check_room(path, frames * resolution * resolution * 3)
+    part = _Part(path, (frames, resolution, resolution, 3))
+    rest = (demos.train + demos.valid)[part.done :]
+    views = [_view(demo, demos, resolution) for demo in rest]
+    with progress(console, "rendering", frames, done=int(counts[: part.done].sum())) as advance:
+        for i, pictures in enumerate(_draw(demos.header, resolution, views), part.done):
+            part.write(int(first[i]), pictures, i + 1)
+            advance(len(pictures))
+    part.finish()
 
 
 def _draw(header: Header, resolution: int, views: list[View]) -> Iterator[np.ndarray]:
@@ -103,7 +116,7 @@ def _draw(header: Header, resolution: int, views: list[View]) -> Iterator[np.nda
         try:
             for view in views:
                 work.append(
-                    pool.submit(_draw_in_worker, header.task, header.scene, resolution, view)  # type: ignore[arg-type]
+                    pool.submit(_draw_in_worker, header.task, header.scene, resolution, view)
                 )
                 if len(work) > 2 * workers:
                     yield work.popleft().result()
@@ -114,12 +127,12 @@ def _draw(header: Header, resolution: int, views: list[View]) -> Iterator[np.nda
 
 
 @functools.cache
-def _renderer(task_name: str, scene_name: SceneName, resolution: int) -> Renderer:
+def _renderer(task_name: str, scene_name: str, resolution: int) -> Renderer:
     task = make_task(task_name)
-    return Renderer(build_scene(task.objects(), scene_name), resolution, varied=task.varied)
+    return Renderer(task.scene(scene_name), resolution, varied=task.varied)
 
 
-def _draw_in_worker(task: str, scene: SceneName, resolution: int, view: View) -> np.ndarray:
+def _draw_in_worker(task: str, scene: str, resolution: int, view: View) -> np.ndarray:
     return _renderer(task, scene, resolution).rgb(view)
 
 

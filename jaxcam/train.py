@@ -72,12 +72,12 @@ def _dataset(config: TrainConfig, console: "Console | None") -> "Dataset":
     from jaxcam.data import make_dataset
     from jaxcam.frames import load_frames
     from jaxcam.sim import make_task
-    from jaxcam.sim.scene import build_scene
 
     demos = collect(collect_config(config), console)
     frames = load_frames(demos, config.resolution, console)
-    scene = build_scene(make_task(config.task).objects(), config.scene)  # type: ignore[arg-type]
-    return make_dataset(demos, frames, config.action_space, scene)  # type: ignore[arg-type]
+    return make_dataset(
+        demos, frames, config.action_space, make_task(config.task).scene(config.scene)
+    )
 
 
 def _policy(config: TrainConfig, dataset: "Dataset") -> "Policy":

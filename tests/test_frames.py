@@ -25,7 +25,8 @@ def elsewhere(demos, tmp_path):
 
 
 def pictures_in(demos):
-    return sorted(p.name for p in (demos.path.parent / "frames").iterdir())
+    folder = demos.path.parent / "frames"
+    return sorted(p.name for p in folder.iterdir() if p.suffix != ".lock")
 
 
 def test_cached_pictures_are_fresh_renders_of_state_and_camera(demos, frames, renderer):

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from jaxcam.actions import ActionSpace, decode, measured
+from jaxcam.actions import decode, measured
 from jaxcam.rays import invert
 from jaxcam.sim.engine import Command, Engine, Start, State
 from jaxcam.sim.render import Renderer, View
@@ -43,7 +43,7 @@ def rollout(
     start: Start,
     K: np.ndarray,
     world_from_camera: np.ndarray,
-    space: ActionSpace,
+    space: str,
     execute: int | None = None,
     tick: Callable[[], None] = lambda: None,
 ) -> Rollouts:

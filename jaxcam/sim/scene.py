@@ -14,10 +14,12 @@ Both have the same joints in the same order, so one `qpos` serves both.
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import mujoco
 import numpy as np
+
+from jaxcam.errors import ConfigError, closest
 
 _disabled = logging.root.manager.disable
 logging.disable(logging.WARNING)  # robosuite warns of parts of it that are not used here
@@ -30,10 +32,9 @@ from robosuite.models.tasks import ManipulationTask  # noqa: E402
 
 logging.disable(_disabled)
 
-__all__ = ["SCENES", "TABLE_TOP", "BoxObject", "Scene", "SceneName", "build_scene"]
+__all__ = ["SCENES", "TABLE_TOP", "BoxObject", "Scene", "build_scene"]
 
-SceneName = Literal["fixed", "randomized"]
-SCENES: tuple[SceneName, ...] = ("fixed", "randomized")
+SCENES = ("fixed", "randomized")
 
 TABLE_TOP = 0.8
 """Height of the table's surface (m), robosuite's default."""
@@ -56,7 +57,7 @@ class Scene:
     """Slim model that engines step."""
     visual: mujoco.MjModel
     """Model that the renderer draws; one camera, table and room as mocap bodies."""
-    name: SceneName
+    name: str
     arm: np.ndarray = field(repr=False)
     """Indices of the seven arm joints in qpos (and, the joints being hinges, in qvel and ctrl)."""
     fingers: np.ndarray = field(repr=False)
@@ -84,7 +85,7 @@ class Scene:
         return np.concatenate([qpos[..., self.arm], local, opening], -1).astype(np.float32)
 
 
-def build_scene(objects: Sequence[Any], name: SceneName) -> Scene:
+def build_scene(objects: Sequence[Any], name: str) -> Scene:
     """Puts objects on robosuite's table before its Panda.
 
     Args:
@@ -95,7 +96,12 @@ def build_scene(objects: Sequence[Any], name: SceneName) -> Scene:
 
     Returns:
         The scene with both models compiled.
+
+    Raises:
+        ConfigError: if there is no such scene.
     """
+    if name not in SCENES:
+        raise ConfigError(f"Unknown scene {name!r}{closest(name, SCENES)}.")
     robot = Panda()
     robot.add_base(robot_base_factory(robot.default_base, idn=0))
     robot.add_gripper(PandaGripper(idn="0_right"))  # type: ignore[arg-type]
@@ -144,7 +150,7 @@ def _physics_model(xml: str, full: mujoco.MjModel, objects: tuple[str, ...]) -> 
     return spec.compile()
 
 
-def _visual_model(xml: str, full: mujoco.MjModel, name: SceneName) -> mujoco.MjModel:
+def _visual_model(xml: str, full: mujoco.MjModel, name: str) -> mujoco.MjModel:
     spec = _open(xml, full)
     hidden = ("wall_", "table_leg") if name == "randomized" else ()
     for geom in list(spec.geoms):
@@ -190,7 +196,7 @@ def _open(xml: str, full: mujoco.MjModel) -> mujoco.MjSpec:
     return spec
 
 
-def _paint(spec: mujoco.MjSpec, name: SceneName) -> None:
+def _paint(spec: mujoco.MjSpec, name: str) -> None:
     """Even materials: the ray tracer has no mip-maps, and fine textures turn to speckle."""
     spec.add_texture(
         name="tiles",

@@ -1,5 +1,6 @@
 """What a task is: its objects, how episodes start, when they succeed, and who shows how."""
 
+import functools
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ import numpy as np
 from jaxcam.rays import POSE_RANGES, PoseRanges
 from jaxcam.rotations import Array
 from jaxcam.sim.engine import Start
-from jaxcam.sim.scene import TABLE_TOP, Scene
+from jaxcam.sim.scene import TABLE_TOP, Scene, build_scene
 
 START_JOINT_NOISE = 0.02
 """Standard deviation (rad) of the arm's joint angles at the start: robosuite's default."""
@@ -77,6 +78,14 @@ class Task(ABC):
     def expert(self, scene: Scene, sight: Sight) -> Iterator[Aim]:
         """Shows the task: yields an aim per control step, `sight` being renewed in between."""
 
+    def scene(self, name: str) -> Scene:
+        """The task's world, `fixed` or `randomized`; made once a process.
+
+        Raises:
+            ConfigError: if there is no such scene.
+        """
+        return _scene(type(self), name)
+
     def rng(self, seed: int) -> np.random.Generator:
         """Chance of episode `seed`'s expert."""
         return np.random.default_rng([seed, 2])
@@ -92,6 +101,11 @@ class Task(ABC):
         qpos[scene.arm] = scene.home + START_JOINT_NOISE * rng.standard_normal(7)
         sizes = self.place(scene, rng, qpos)
         return Start(qpos, sizes, _fixtures(scene, np.random.default_rng([seed, 1])))
+
+
+@functools.cache
+def _scene(task: type[Task], name: str) -> Scene:
+    return build_scene(task().objects(), name)
 
 
 def _fixtures(scene: Scene, rng: np.random.Generator) -> np.ndarray:
