@@ -5,6 +5,7 @@ from jaxcam.config import CollectConfig, cli
 if __name__ == "__main__":
     cli(CollectConfig)  # --help and bad flags are answered before the slow imports
 
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from jaxcam.progress import progress
 from jaxcam.rays import sample_poses, stair, stair_cameras
 from jaxcam.rotations import quaternion_from_matrix, rotvec_from_matrix
 from jaxcam.sim import make_task
+from jaxcam.sim.controllers import CONTROL_HZ
 from jaxcam.sim.engine import Command, Engine, Start, State
 from jaxcam.sim.native import NativeEngine
 from jaxcam.sim.scene import Scene
@@ -25,6 +27,9 @@ from jaxcam.sim.task import Aim, Sight, Task, starts
 
 FIRST_SEED = 42
 """Start of the demonstrations' episode seeds (authors' generators)."""
+SEED_STRIDE, SEEDS = 10_000_000, 900_000
+"""Distance between the episode seeds of two datasets, and how many each has: none ever reaches
+those of the evaluation's pairs (`jaxcam.evaluate.SPLITS`)."""
 TRAIN_CAMERAS = 1
 """Seed of the training cameras: with robosuite's ranges, the authors' released set."""
 VALIDATION_CAMERAS = 3
@@ -93,7 +98,7 @@ def _fill(writer: DemoWriter, task: Task, scene: Scene, console: Console | None)
     )
     cameras = [*windows, *held_out[:, None]]
     engine = NativeEngine(scene, "osc_pose", varied=task.varied)
-    seeds = range(FIRST_SEED + 1_000_000 * header.seed, FIRST_SEED + 1_000_000 * (header.seed + 1))
+    seeds = episode_seeds(header.seed)
     tried = succeeded = 0
     with progress(console, "collecting", total, done=len(writer.done)) as advance:
         slots = iter(sorted(set(range(total)) - writer.done))
@@ -108,7 +113,7 @@ def _fill(writer: DemoWriter, task: Task, scene: Scene, console: Console | None)
                     todo.append((slot, attempt + 1))
                     continue
                 succeeded += 1
-                writer.append(slot, demo_with_cameras(demo, cameras[slot]))
+                writer.append(slot, replace(demo, cameras=cameras[slot]))
                 advance()
             if tried >= 20 and succeeded < LEAST_SUCCESS * tried:
                 raise SimError(
@@ -120,9 +125,10 @@ def _fill(writer: DemoWriter, task: Task, scene: Scene, console: Console | None)
         console.print(f"The expert succeeded in {succeeded} of {tried} episodes.")
 
 
-def demo_with_cameras(demo: Demo, cameras: np.ndarray) -> Demo:
-    """The same demonstration, seen by other cameras."""
-    return Demo(**{**demo.__dict__, "cameras": np.asarray(cameras)})
+def episode_seeds(seed: int) -> range:
+    """The episode seeds that the dataset of a seed may use."""
+    first = FIRST_SEED + SEED_STRIDE * seed
+    return range(first, first + SEEDS)
 
 
 def run_expert(task: Task, scene: Scene, engine: Engine, seeds: list[int]) -> list[Demo | None]:
@@ -174,7 +180,7 @@ def _demo(
     trace: list[State], commands: list[np.ndarray], start: Start, i: int, seed: int, length: int
 ) -> Demo:
     rows = trace[: length + 1]
-    time = np.arange(length + 1)[:, None] / 20.0
+    time = np.arange(length + 1)[:, None] / CONTROL_HZ
     qpos = np.stack([s.qpos[i] for s in rows])
     qvel = np.stack([s.qvel[i] for s in rows])
     quat = quaternion_from_matrix(np.stack([s.grip_rotation[i] for s in rows]))

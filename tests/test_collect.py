@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from jaxcam import collect as collect_module
-from jaxcam.collect import FIRST_SEED, collect, dataset_path, run_expert
+from jaxcam.collect import FIRST_SEED, collect, dataset_path, episode_seeds, run_expert
 from jaxcam.config import CollectConfig
 from jaxcam.errors import SimError
+from jaxcam.evaluate import SPLITS
 from jaxcam.sim.experts import STEP
 from jaxcam.sim.native import NativeEngine
 
@@ -127,3 +128,10 @@ def test_a_dataset_without_validation_demonstrations(tmp_path, demos, monkeypatc
     monkeypatch.setattr(collect_module, "run_expert", Sometimes(demos.train[0], set()))
     found = collect(CollectConfig(demos=2, validation=0, data_dir=str(tmp_path)))
     assert (len(found.train), found.valid) == (2, [])
+
+
+def test_no_dataset_has_episodes_of_the_evaluation():
+    pairs = [set(range(first, first + 2000)) for first, _ in SPLITS.values()]
+    for seed in range(20):
+        assert all(not some.intersection(episode_seeds(seed)) for some in pairs)
+        assert set(episode_seeds(seed)).isdisjoint(episode_seeds(seed + 1))

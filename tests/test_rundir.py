@@ -77,7 +77,8 @@ def test_folder_of_another_configuration_is_refused_and_untouched(tmp_path):
 def test_moved_folder_continues(tmp_path):
     RunDir.open(config(tmp_path / "a")).close()
     (tmp_path / "a").rename(tmp_path / "b")
-    RunDir.open(config(tmp_path / "b")).close()
+    with RunDir.open(config(tmp_path / "b")) as run:
+        assert len((run.path / "command.txt").read_text().splitlines()) == 2
 
 
 def test_damaged_or_missing_configuration(tmp_path):
