@@ -55,6 +55,7 @@ class OpenGL:
         model.cam_sensorsize[:] = model.cam_resolution[:] = size  # K is in pixels
         model.vis.quality.offsamples = 0
         self._model, self._data = model, mujoco.MjData(model)
+        self._fixtures = scene.fixtures
         self._varied = [model.geom(f"{name}_vis").id for name in varied]
         self._renderer = mujoco.Renderer(model, size, size)
 
@@ -64,7 +65,8 @@ class OpenGL:
         eye, axes = (np.asarray(x) for x in to_mujoco(view.world_from_camera))
         for i in range(len(view.qpos)):
             data.qpos[:] = view.qpos[i]
-            data.mocap_pos[:], data.mocap_quat[:] = view.fixtures[i, :, :3], view.fixtures[i, :, 3:]
+            data.mocap_pos[self._fixtures] = view.fixtures[i, :, :3]
+            data.mocap_quat[self._fixtures] = view.fixtures[i, :, 3:]
             model.geom_size[self._varied] = view.geom_size[i]
             model.cam_intrinsic[0, :2] = view.K[i, 0, 0], view.K[i, 1, 1]
             mujoco.mj_kinematics(model, data)

@@ -22,8 +22,9 @@ import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
 
-from jaxcam.config import TrainConfig, from_json
+from jaxcam.config import TrainConfig
 from jaxcam.errors import CheckpointError
+from jaxcam.fields import from_json
 from jaxcam.manifest import (
     DamagedError,
     brief,

@@ -1,6 +1,7 @@
 """`python -m jaxcam.collect`: demonstrations of the scripted expert, as states and commands."""
 
-from jaxcam.config import CollectConfig, cli
+from jaxcam.config import CollectConfig, with_task
+from jaxcam.fields import cli
 
 if __name__ == "__main__":
     cli(CollectConfig)  # --help and bad flags are answered before the slow imports
@@ -41,6 +42,7 @@ LEAST_SUCCESS = 0.9
 
 def dataset_path(config: CollectConfig) -> Path:
     """Where a dataset lies: its name holds every setting that shapes it."""
+    config = with_task(config)
     name = f"{config.task}-{config.scene}-n{config.n}m{config.m}-{config.demos}+{config.validation}"
     return Path(config.data_dir) / f"{name}-seed{config.seed}.hdf5"
 
@@ -55,6 +57,7 @@ def collect(config: CollectConfig, console: Console | None = None) -> Demos:
     Returns:
         The complete dataset. An existing file is read and checked, an unfinished one continued.
     """
+    config = with_task(config)
     path = dataset_path(config)
     if not path.exists():
         task = make_task(config.task)
@@ -140,7 +143,8 @@ def run_expert(task: Task, scene: Scene, engine: Engine, seeds: list[int]) -> li
     start = starts(task, scene, seeds)
     state = engine.reset(start)
     rngs = [task.rng(seed) for seed in seeds]
-    sights = [Sight(*x) for x in zip(*_seen(state), rngs, strict=True)]
+    each = (Start(*row) for row in zip(*start, strict=True))
+    sights = [Sight(*x) for x in zip(*_seen(state), rngs, each, strict=True)]
     experts = [task.expert(scene, sight) for sight in sights]
     trace: list[State] = [state]
     commands: list[np.ndarray] = []
@@ -159,7 +163,7 @@ def run_expert(task: Task, scene: Scene, engine: Engine, seeds: list[int]) -> li
         trace.append(state)
         for sight, *seen in zip(sights, *_seen(state), strict=True):
             sight.grip_position, sight.grip_rotation, sight.qpos = seen
-    done = task.success(scene, trace[-1].qpos) & state.ok
+    done = task.success(scene, trace[-1], start) & state.ok
     return [
         _demo(trace, commands, start, i, seed, int(lengths[i])) if done[i] else None
         for i, seed in enumerate(seeds)

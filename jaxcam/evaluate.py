@@ -4,7 +4,8 @@ Pairs are numbered; pair i has the same start and the same cameras for every pol
 checkpoint (paper, section IV-C). Every rollout is one row of `RUN/eval/rows.jsonl`.
 """
 
-from jaxcam.config import EvaluateConfig, TrainConfig, cli
+from jaxcam.config import EvaluateConfig, TrainConfig
+from jaxcam.fields import cli
 
 if __name__ == "__main__":
     cli(EvaluateConfig)  # --help and bad flags are answered before the slow imports

@@ -15,8 +15,9 @@ from typing import Any
 from urllib.parse import quote
 
 import jaxcam
-from jaxcam.config import TrainConfig, differences, from_json, resolve
+from jaxcam.config import TrainConfig, differences, resolve
 from jaxcam.errors import ConfigError
+from jaxcam.fields import from_json
 from jaxcam.rundir import read_jsonl, write_atomically
 from jaxcam.stats import Estimate, Row, by_field, is_finished, latest_rows, success_rate
 

@@ -22,8 +22,9 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Self
 
-from jaxcam.config import TrainConfig, differences, from_json, to_json
+from jaxcam.config import TrainConfig, differences
 from jaxcam.errors import ConfigError, DatasetError
+from jaxcam.fields import from_json, to_json
 
 PACKAGES = ("jaxcam", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "numpy", "mujoco",
             "mujoco-mjx", "warp-lang", "robosuite")  # fmt: skip

@@ -11,8 +11,9 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
-from jaxcam.config import CollectConfig, TrainConfig, cli, resolve
+from jaxcam.config import CollectConfig, TrainConfig, resolve
 from jaxcam.errors import run_main
+from jaxcam.fields import cli
 
 if TYPE_CHECKING:
     from rich.console import Console

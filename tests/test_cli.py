@@ -11,8 +11,9 @@ import av
 import pytest
 from conftest import TINY
 
-from jaxcam.config import TrainConfig, from_json
+from jaxcam.config import TrainConfig
 from jaxcam.errors import ConfigError, JaxcamError
+from jaxcam.fields import from_json
 from jaxcam.train import train
 
 STEPS = 160

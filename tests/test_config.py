@@ -9,20 +9,15 @@ import pytest
 
 from jaxcam.config import (
     FREE_TO_CHANGE,
-    NAMES,
-    PRESETS,
     CollectConfig,
     EvaluateConfig,
     TrainConfig,
-    cli,
     differences,
-    from_json,
-    overrides,
     resolve,
-    to_json,
-    with_overrides,
 )
 from jaxcam.errors import ConfigError
+from jaxcam.fields import cli, from_json, overrides, to_json, with_overrides
+from jaxcam.presets import NAMES, PRESETS
 
 LAPTOP = resolve(TrainConfig(), accelerator=False)
 PAPER = resolve(TrainConfig(), accelerator=True)
@@ -97,7 +92,7 @@ def test_short_runs_get_a_short_warmup():
         ({"crop_min": 1.5}, "crop_min is a share of the image"),
         ({"ema": 1.0}, "ema must be below 1"),
         ({"n": 3, "m": 4}, r"m \(4\) must be at most n \(3\)"),
-        ({"views": 4}, r"views \(4\) needs as many cameras"),
+        ({"views": 4, "n": 3}, r"views \(4\) needs as many cameras"),
         ({"seed": -1}, "seed must be at least 0"),
         ({"steps": 1.5}, "steps must be int or NoneType, got 1.5"),
         ({"batch": True}, "batch must be int"),
@@ -228,8 +223,8 @@ def test_help_shows_choices_and_presets(capsys):
 
 def test_help_is_fast_and_imports_no_jax():
     script = (
-        "import sys, jaxcam.config as c\n"
-        "try: c.cli(c.TrainConfig, ['--help'])\n"
+        "import sys, jaxcam.config as c, jaxcam.fields as f\n"
+        "try: f.cli(c.TrainConfig, ['--help'])\n"
         "finally: print({'jax', 'flax', 'numpy', 'mujoco'} & set(sys.modules), file=sys.stderr)"
     )
     start = time.perf_counter()

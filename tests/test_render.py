@@ -40,7 +40,8 @@ def cast(scene, lift, view, i, camera):
     model.geom_rbound[ids] = np.linalg.norm(view.geom_size[i], axis=-1)
     model.geom_aabb[ids, 3:] = view.geom_size[i]
     data.qpos = view.qpos[i]
-    data.mocap_pos, data.mocap_quat = view.fixtures[i, :, :3], view.fixtures[i, :, 3:]
+    data.mocap_pos[scene.fixtures] = view.fixtures[i, :, :3]
+    data.mocap_quat[scene.fixtures] = view.fixtures[i, :, 3:]
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     pose = np.asarray(camera.world_from_camera)

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from jaxcam import plots
-from jaxcam.config import TrainConfig, cli, resolve, to_json
+from jaxcam.config import TrainConfig, resolve
 from jaxcam.errors import ConfigError, DatasetError
+from jaxcam.fields import cli, to_json
 from jaxcam.html import reproduce_command, write_report
 
 VOID = {"meta", "link", "img", "br", "hr"}

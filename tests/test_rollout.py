@@ -6,6 +6,7 @@ import pytest
 from jaxcam.data import demo_actions
 from jaxcam.frames import intrinsics
 from jaxcam.rays import sample_poses
+from jaxcam.sim.engine import State
 from jaxcam.sim.native import NativeEngine
 from jaxcam.sim.render import View
 from jaxcam.sim.rollout import rollout
@@ -65,7 +66,7 @@ def test_worlds_end_on_their_own_and_stay(run, replay, demos, lift, scene):
     for i in (0, 2):
         last = done.steps[i]
         assert 10 < last < lift.horizon
-        reached = lift.success(scene, done.qpos[:, i])
+        reached = lift.success(scene, State(done.qpos[:, i], *[None] * 7), None)
         assert reached[last]
         assert not reached[:last].any()
         assert (done.qpos[last:, i] == done.qpos[last, i]).all()

@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 
 import jaxcam.rundir
-from jaxcam.config import TrainConfig, from_json, resolve
+from jaxcam.config import TrainConfig, resolve
 from jaxcam.errors import ConfigError, DatasetError
+from jaxcam.fields import from_json
 from jaxcam.rundir import (
     RunDir,
     append_jsonl,

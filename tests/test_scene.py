@@ -7,6 +7,7 @@ import pytest
 from jaxcam.errors import ConfigError
 from jaxcam.sim import make_task
 from jaxcam.sim import scene as scene_module
+from jaxcam.sim.native import NativeEngine
 from jaxcam.sim.scene import FIXTURES, SHEET_HALF_SIZE, TABLE_SIZE, TABLE_TOP, build_scene
 from jaxcam.sim.task import ROOM_SHIFT, START_JOINT_NOISE, TABLE_SHIFT, starts
 from jaxcam.sim.tasks.lift import HALF_SIZE, LIFTED, PLACEMENT
@@ -18,9 +19,9 @@ def full_and_scene(lift):
     seen = {}
     original = scene_module._physics_model
 
-    def spy(xml, full, objects):
+    def spy(xml, full, *objects):
         seen["full"] = full
-        return original(xml, full, objects)
+        return original(xml, full, *objects)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(scene_module, "_physics_model", spy)
@@ -92,8 +93,8 @@ def test_table_and_room_are_moved_from_arrays(scenes):
     for scene in scenes.values():
         model = scene.visual
         assert model.nmocap == len(FIXTURES)
-        for row, name in enumerate(FIXTURES):
-            assert model.body(name).mocapid[0] == row
+        for mocap, name in zip(scene.fixtures, FIXTURES, strict=True):
+            assert model.body(name).mocapid[0] == mocap
         assert model.ncam == 1
         # Nothing that is seen stands still in the world: all moves with robot, objects or fixtures.
         assert not any(model.geom_bodyid == 0)
@@ -149,10 +150,11 @@ def test_starts_fill_their_ranges_and_stay_inside(lift, scene):
 
 
 def test_lifted_is_four_centimetres_above_the_table(lift, scene):
-    qpos = np.tile(scene.physics.qpos0, (3, 1))
-    qpos[:, scene.qpos_of("cube") + 2] = TABLE_TOP + LIFTED + np.array([-1e-6, 1e-6, 0.1])
+    start = starts(lift, scene, range(3))
+    state = NativeEngine(scene, varied=lift.varied).reset(start)
+    state.qpos[:, scene.qpos_of("cube") + 2] = TABLE_TOP + LIFTED + np.array([-1e-6, 1e-6, 0.1])
     assert LIFTED == 0.04
-    assert lift.success(scene, qpos).tolist() == [False, True, True]
+    assert lift.success(scene, state, start).tolist() == [False, True, True]
 
 
 def test_proprio_is_in_the_base_frame(lift, scene):

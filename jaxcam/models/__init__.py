@@ -119,7 +119,7 @@ def make_policy(config: ActConfig, spec: PolicySpec, stats: Mapping[str, np.ndar
 
 def policy_settings(config: "TrainConfig") -> ActConfig:
     """The network's settings that a run's resolved settings ask for."""
-    from jaxcam.config import with_overrides
+    from jaxcam.fields import with_overrides
 
     settings = with_conditioning(ACT_PRESETS[config.preset], config.conditioning)
     return with_overrides(replace(settings, compute_dtype=config.precision), config.model)

@@ -3,19 +3,17 @@
 from importlib import import_module
 
 from jaxcam.errors import ConfigError, closest
+from jaxcam.presets import NAMES
 from jaxcam.sim.task import Task
-
-TASKS: dict[str, str] = {"lift": "jaxcam.sim.tasks.lift:Lift"}
-"""Where each task lives, by name."""
 
 
 def make_task(name: str) -> Task:
-    """The task of that name.
+    """The task of that name: the one in `jaxcam/sim/tasks/<name>.py`.
 
     Raises:
         ConfigError: if there is none; the message names the closest.
     """
-    if name not in TASKS:
-        raise ConfigError(f"Unknown task {name!r}{closest(name, TASKS)}")
-    module, cls = TASKS[name].split(":")
-    return getattr(import_module(module), cls)()
+    if name not in NAMES["task"]:
+        raise ConfigError(f"Unknown task {name!r}{closest(name, NAMES['task'])}")
+    import_module(f"jaxcam.sim.tasks.{name}")
+    return next(task for task in Task.__subclasses__() if task.name == name)()

@@ -19,7 +19,8 @@ class Start(NamedTuple):
     geom_size: Array
     """Sizes (m) of the task's varied geoms [..., v, 3]."""
     fixtures: Array
-    """Poses (xyz, wxyz) of table and room in the world [..., 2, 7]; seen, never touched."""
+    """Poses (xyz, wxyz) in the world of table, room and the task's markers [..., 2 + markers, 7];
+    seen, never touched."""
 
 
 class State(NamedTuple):

@@ -49,7 +49,7 @@ class View(NamedTuple):
     geom_size: np.ndarray
     """Sizes (m) of the task's varied geoms [B, v, 3]."""
     fixtures: np.ndarray
-    """Poses (xyz, wxyz) of table and room [B, 2, 7]."""
+    """Poses (xyz, wxyz) of table, room and markers [B, 2 + markers, 7]."""
     K: np.ndarray
     """Intrinsics in pixels of the picture [B, 3, 3]; no skew."""
     world_from_camera: np.ndarray
@@ -148,8 +148,8 @@ class Renderer:
         )
         for i in range(count):
             data.qpos[:] = view.qpos[i]
-            data.mocap_pos[:] = view.fixtures[i, :, :3]
-            data.mocap_quat[:] = view.fixtures[i, :, 3:]
+            data.mocap_pos[self.scene.fixtures] = view.fixtures[i, :, :3]
+            data.mocap_quat[self.scene.fixtures] = view.fixtures[i, :, 3:]
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
             mujoco.mj_camlight(model, data)

@@ -91,7 +91,7 @@ def rollout(
             active = ~success & state.ok & finite
             state = engine.step(state, Command(targets[:, t], gripper[:, t]), active)
             trace.append(state.qpos)
-            now = active & state.ok & task.success(scene, state.qpos)
+            now = active & state.ok & task.success(scene, state, start)
             success |= now
             steps[now] = len(trace) - 1
             tick()

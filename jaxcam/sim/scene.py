@@ -66,6 +66,8 @@ class Scene:
     """Site that the controllers move: between the finger tips."""
     home: np.ndarray = field(repr=False)
     """Arm joint angles (rad) [7] from which episodes start, before noise."""
+    fixtures: np.ndarray = field(repr=False)
+    """Indices of table, room and markers among the visual model's mocap bodies."""
     world_from_base: np.ndarray = field(repr=False)
     """Pose of the robot's base [4, 4]; ray-maps and policies live in this frame."""
 
@@ -85,7 +87,7 @@ class Scene:
         return np.concatenate([qpos[..., self.arm], local, opening], -1).astype(np.float32)
 
 
-def build_scene(objects: Sequence[Any], name: str) -> Scene:
+def build_scene(objects: Sequence[Any], name: str, markers: Sequence[str] = ()) -> Scene:
     """Puts objects on robosuite's table before its Panda.
 
     Args:
@@ -93,6 +95,8 @@ def build_scene(objects: Sequence[Any], name: str) -> Scene:
         name: `fixed` shows robosuite's table and room where they stand; `randomized` shows a wide
             table top and a floor, to be moved per episode (paper, section IV-A; the authors'
             `LiftRand` shows a visual sheet and hides the real table).
+        markers: names of the objects, made without joints, that are seen and never touched; they
+            become mocap bodies of the visual model.
 
     Returns:
         The scene with both models compiled.
@@ -112,9 +116,9 @@ def build_scene(objects: Sequence[Any], name: str) -> Scene:
     task = ManipulationTask(mujoco_arena=arena, mujoco_robots=[robot], mujoco_objects=list(objects))
     xml = task.get_xml()
     full = mujoco.MjModel.from_xml_string(xml)
-    names = tuple(o.name for o in objects)
-    physics = _physics_model(xml, full, names)
-    visual = _visual_model(xml, full, name)
+    names = tuple(o.name for o in objects if o.name not in markers)
+    physics = _physics_model(xml, full, names, markers)
+    visual = _visual_model(xml, full, name, markers)
     data = mujoco.MjData(physics)
     mujoco.mj_kinematics(physics, data)
     world_from_base = np.eye(4)
@@ -130,13 +134,20 @@ def build_scene(objects: Sequence[Any], name: str) -> Scene:
         fingers=np.array([physics.joint(j).qposadr[0] for j in fingers]),
         grip_site=int(physics.site(GRIP_SITE).id),
         home=np.asarray(robot.init_qpos, float),
+        fixtures=np.array(
+            [int(visual.body(b).mocapid[0]) for b in (*FIXTURES, *(f"{m}_main" for m in markers))]
+        ),
         world_from_base=world_from_base,
     )
 
 
-def _physics_model(xml: str, full: mujoco.MjModel, objects: tuple[str, ...]) -> mujoco.MjModel:
+def _physics_model(
+    xml: str, full: mujoco.MjModel, objects: Sequence[str], markers: Sequence[str]
+) -> mujoco.MjModel:
     """Keeps colliders of gripper, objects, table and floor, and the full model's inertias."""
     spec = _open(xml, full)
+    for marker in markers:
+        spec.delete(spec.body(f"{marker}_main"))
     for geom in list(spec.geoms):
         keep = geom.name.startswith((*_COLLIDES, *(f"{o}_" for o in objects)))
         if not keep or (geom.contype == 0 and geom.conaffinity == 0):
@@ -150,7 +161,9 @@ def _physics_model(xml: str, full: mujoco.MjModel, objects: tuple[str, ...]) -> 
     return spec.compile()
 
 
-def _visual_model(xml: str, full: mujoco.MjModel, name: str) -> mujoco.MjModel:
+def _visual_model(
+    xml: str, full: mujoco.MjModel, name: str, markers: Sequence[str]
+) -> mujoco.MjModel:
     spec = _open(xml, full)
     hidden = ("wall_", "table_leg") if name == "randomized" else ()
     for geom in list(spec.geoms):
@@ -160,7 +173,8 @@ def _visual_model(xml: str, full: mujoco.MjModel, name: str) -> mujoco.MjModel:
         for element in list(group):
             spec.delete(element)
     _paint(spec, name)
-    spec.body("table").mocap = True
+    for fixture in ("table", *(f"{marker}_main" for marker in markers)):
+        spec.body(fixture).mocap = True
     room = spec.worldbody.add_body(name="room", mocap=True)
     for geom in list(spec.worldbody.geoms):
         room.add_geom(

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxcam.rays import POSE_RANGES, PoseRanges
 from jaxcam.rotations import Array
-from jaxcam.sim.engine import Start
+from jaxcam.sim.engine import Start, State
 from jaxcam.sim.scene import TABLE_TOP, Scene, build_scene
 
 START_JOINT_NOISE = 0.02
@@ -30,6 +30,8 @@ class Sight:
     qpos: np.ndarray
     rng: np.random.Generator
     """The episode's own, for what an expert does by chance."""
+    start: Start
+    """How the episode began."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,8 @@ class Task(ABC):
     """Where cameras are drawn from."""
     fovy_deg: ClassVar[float] = 45.0
     """Vertical field of view of the task's cameras: MuJoCo's default, as the authors' agentview."""
+    markers: ClassVar[tuple[str, ...]] = ()
+    """Objects that are seen and never touched; their poses follow table and room in `fixtures`."""
     varied: ClassVar[tuple[str, ...]] = ()
     """Geoms of the physics model whose size differs between episodes; `<geom>_vis` shows them."""
 
@@ -67,12 +71,12 @@ class Task(ABC):
         """Robosuite objects on the table."""
 
     @abstractmethod
-    def place(self, scene: Scene, rng: np.random.Generator, qpos: np.ndarray) -> np.ndarray:
-        """Draws where objects lie into `qpos`; returns the sizes (m) [v, 3] of varied geoms."""
+    def place(self, scene: Scene, rng: np.random.Generator, start: Start) -> None:
+        """Draws an episode into the arrays of `start`: object poses, varied sizes, markers."""
 
     @abstractmethod
-    def success(self, scene: Scene, qpos: Array) -> Array:
-        """Whether the task is done in states `qpos` [..., nq]: bool [...]."""
+    def success(self, scene: Scene, state: State, start: Start) -> Array:
+        """Whether the task is done in `state`, of episodes that began at `start`: bool [...]."""
 
     @abstractmethod
     def expert(self, scene: Scene, sight: Sight) -> Iterator[Aim]:
@@ -97,24 +101,28 @@ class Task(ABC):
         Fixed and randomised scenes share the draws of objects and arm.
         """
         rng = np.random.default_rng([seed, 0])
-        qpos = scene.physics.qpos0.copy()
-        qpos[scene.arm] = scene.home + START_JOINT_NOISE * rng.standard_normal(7)
-        sizes = self.place(scene, rng, qpos)
-        return Start(qpos, sizes, _fixtures(scene, np.random.default_rng([seed, 1])))
+        start = Start(
+            qpos=scene.physics.qpos0.copy(),
+            geom_size=np.array([scene.physics.geom(name).size for name in self.varied]),
+            fixtures=_fixtures(scene, len(self.markers), np.random.default_rng([seed, 1])),
+        )
+        start.qpos[scene.arm] = scene.home + START_JOINT_NOISE * rng.standard_normal(7)
+        self.place(scene, rng, start)
+        return start
 
 
 @functools.cache
 def _scene(task: type[Task], name: str) -> Scene:
-    return build_scene(task().objects(), name)
+    return build_scene(task().objects(), name, task.markers)
 
 
-def _fixtures(scene: Scene, rng: np.random.Generator) -> np.ndarray:
-    """Poses (xyz, wxyz) [2, 7] of table and room (policies.md 7.2: the authors' ranges)."""
-    poses = np.zeros((2, 7))
+def _fixtures(scene: Scene, markers: int, rng: np.random.Generator) -> np.ndarray:
+    """Poses (xyz, wxyz) [2 + markers, 7] of table and room (the authors' ranges), and markers."""
+    poses = np.zeros((2 + markers, 7))
     poses[:, 3] = 1
     poses[0, 2] = TABLE_TOP - scene.table_thickness / 2
     if scene.name == "randomized":
-        for pose, reach in zip(poses, (TABLE_SHIFT, ROOM_SHIFT), strict=True):
+        for pose, reach in zip(poses[:2], (TABLE_SHIFT, ROOM_SHIFT), strict=True):
             pose[:2] = rng.uniform(-reach, reach, 2)
             yaw = rng.uniform(-np.pi, np.pi)
             pose[3], pose[6] = np.cos(yaw / 2), np.sin(yaw / 2)

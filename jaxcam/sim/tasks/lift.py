@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from jaxcam.rotations import Array
+from jaxcam.sim.engine import Start, State
 from jaxcam.sim.experts import CLOSE, OPEN, Hand
 from jaxcam.sim.scene import TABLE_TOP, BoxObject, Scene
 from jaxcam.sim.task import Aim, Sight, Task
@@ -35,19 +36,19 @@ class Lift(Task):
         middle = [sum(HALF_SIZE) / 2] * 3
         return [BoxObject(name="cube", size=middle, rgba=[0.10, 0.62, 0.22, 1])]
 
-    def place(self, scene: Scene, rng: np.random.Generator, qpos: np.ndarray) -> np.ndarray:
+    def place(self, scene: Scene, rng: np.random.Generator, start: Start) -> None:
         """Anywhere within 0.2 m of the table's centre, any yaw, 1 cm above the table."""
-        half = rng.uniform(*HALF_SIZE, 3)
+        start.geom_size[0] = half = rng.uniform(*HALF_SIZE, 3)
+        qpos = start.qpos
         cube = scene.qpos_of("cube")
         yaw = rng.uniform(-np.pi, np.pi)
         qpos[cube : cube + 2] = rng.uniform(-PLACEMENT, PLACEMENT, 2)
         qpos[cube + 2] = TABLE_TOP + half[2] + 0.01
         qpos[cube + 3 : cube + 7] = [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
-        return half[None]
 
-    def success(self, scene: Scene, qpos: Array) -> Array:
+    def success(self, scene: Scene, state: State, start: Start) -> Array:
         """The cube's centre is more than 4 cm above the table."""
-        return qpos[..., scene.qpos_of("cube") + 2] > TABLE_TOP + LIFTED
+        return state.qpos[..., scene.qpos_of("cube") + 2] > TABLE_TOP + LIFTED
 
     def expert(self, scene: Scene, sight: Sight) -> Iterator[Aim]:
         """Down a funnel onto the cube, close, up; the gripper keeps the orientation it starts with.

@@ -1,0 +1,37 @@
+"""The settings that are names, and the values that a policy's preset gives."""
+
+from pathlib import Path
+from typing import Any
+
+# Every file in there is a task of that name.
+_TASKS = tuple(sorted(p.stem for p in Path(__file__).parent.glob("sim/tasks/[a-z]*.py")))
+
+# The settings that are names, and the names there are.
+NAMES: dict[str, tuple[str, ...]] = {
+    "task": _TASKS,
+    "scene": ("fixed", "randomized"),
+    "policy": ("act",),
+    "preset": ("auto", "laptop", "paper"),
+    "conditioning": ("none", "token", "early", "late", "keypoints"),
+    "action_space": ("eef_delta", "eef_abs", "joint_delta", "joint_abs"),
+    "schedule": ("constant", "cosine"),
+    "precision": ("float32", "bfloat16"),
+    "split": ("test", "validation"),
+}
+
+# The values a preset gives. The paper's come from the authors' released run settings; an epoch of
+# theirs is 3 updates, and they evaluate and save every 1000 epochs.
+PRESETS: dict[tuple[str, str], dict[str, Any]] = {
+    ("act", "paper"): {
+        "conditioning": "late", "precision": "bfloat16", "resolution": 256,
+        "steps": 60_000, "batch": 70, "lr": 2e-5, "weight_decay": 1e-4,
+        "schedule": "constant", "warmup": 0, "crop_min": 0.8,
+        "log_every": 50, "eval_every": 3000, "save_every": 3000, "steps_per_call": 10,
+    },
+    ("act", "laptop"): {
+        "conditioning": "keypoints", "precision": "float32", "resolution": 84,
+        "steps": 4000, "batch": 64, "lr": 1e-3, "weight_decay": 1e-4,
+        "schedule": "cosine", "warmup": 200, "crop_min": 0.8,
+        "log_every": 50, "eval_every": 500, "save_every": 500, "steps_per_call": 10,
+    },
+}  # fmt: skip
