@@ -3,16 +3,18 @@
 Inside, an action is an absolute target per control step: a grip pose in the world (position,
 rotation vector) or joint angles, with the gripper's sign last. Delta spaces difference the targets
 that were commanded one after the other, the first against what was measured at the start; at run
-time deltas are accumulated from there. Rotations compose on SO(3):
-R_next = exp(delta) R, axes of the base.
+time deltas are accumulated from there. Rotations compose on SO(3): R_next = exp(delta) R, axes of
+the base. `eef_delta_componentwise` subtracts and adds rotation vectors number by number, as the
+authors' code does; near half a turn its deltas jump by up to a whole turn.
 """
 
 import numpy as np
 
-from jaxcam.rotations import matrix_from_rotvec, rotvec_from_matrix
+from jaxcam.rotations import Array, array_namespace, matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.sim.engine import ControllerName, State
 
 ACTION_SPACES = ("eef_delta", "eef_abs", "joint_delta", "joint_abs")
+"""The paper's four; the authors' component-wise differencing is a fifth, to reproduce them."""
 
 
 def is_joint(space: str) -> bool:
@@ -30,11 +32,12 @@ def action_dim(space: str) -> int:
     return 8 if is_joint(space) else 7
 
 
-def measured(space: str, state: State, arm: np.ndarray) -> np.ndarray:
+def measured(space: str, state: State, arm: np.ndarray) -> Array:
     """What deltas start from: the measured grip pose [B, 6] or joint angles [B, 7]."""
     if is_joint(space):
-        return np.asarray(state.qpos)[:, arm]
-    return np.concatenate([state.grip_position, rotvec_from_matrix(state.grip_rotation)], -1)
+        return state.qpos[:, arm]
+    xp = array_namespace(state.qpos)
+    return xp.concatenate([state.grip_position, rotvec_from_matrix(state.grip_rotation)], -1)
 
 
 def encode(space: str, targets: np.ndarray, gripper: np.ndarray, start: np.ndarray) -> np.ndarray:
@@ -61,8 +64,8 @@ def encode(space: str, targets: np.ndarray, gripper: np.ndarray, start: np.ndarr
     return np.concatenate([moves, gripper[:, None]], -1)
 
 
-def decode(space: str, actions: np.ndarray, anchor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Turns a batch of action chunks into absolute targets.
+def decode(space: str, actions: Array, anchor: Array) -> tuple[Array, Array]:
+    """Turns a batch of action chunks into absolute targets, in the namespace of `anchor`.
 
     Args:
         space: of the actions.
@@ -73,14 +76,18 @@ def decode(space: str, actions: np.ndarray, anchor: np.ndarray) -> tuple[np.ndar
         Targets [B, T, 6] or [B, T, 7], and gripper signs [B, T]. The last target is the next
         anchor.
     """
-    moves, gripper = np.asarray(actions[..., :-1], float), np.asarray(actions[..., -1], float)
+    xp = array_namespace(anchor)
+    actions = xp.asarray(actions, anchor.dtype)
+    moves, gripper = actions[..., :-1], actions[..., -1]
     if space.endswith("abs"):
         return moves, gripper
-    targets = anchor[:, None] + np.cumsum(moves, 1)
+    targets = anchor[:, None] + xp.cumsum(moves, 1)
     if space == "eef_delta":
         rotation = matrix_from_rotvec(anchor[:, 3:])
         steps = matrix_from_rotvec(moves[..., 3:])
+        rotations = []
         for t in range(moves.shape[1]):
             rotation = steps[:, t] @ rotation
-            targets[:, t, 3:] = rotvec_from_matrix(rotation)
+            rotations.append(rotvec_from_matrix(rotation))
+        targets = xp.concatenate([targets[..., :3], xp.stack(rotations, 1)], -1)
     return targets, gripper

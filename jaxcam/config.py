@@ -213,9 +213,21 @@ def resolve(config: TrainConfig, *, accelerator: bool | None = None) -> TrainCon
         intervals = (values[k] for k in ("steps", "log_every", "eval_every", "save_every"))
         values["steps_per_call"] = math.gcd(values["steps_per_call"], *intervals)
     if config.run_dir is None:
-        names = ("task", "scene", "policy", "preset", "conditioning", "seed")
-        values["run_dir"] = "runs/" + "-".join(str(values[k]) for k in names)
+        values["run_dir"] = _run_dir(values)
     return TrainConfig(**values)
+
+
+def _run_dir(values: dict[str, Any]) -> str:
+    """A folder's name: what runs are usually compared by, then what is not the task's default."""
+    parts = [values[k] for k in ("task", "scene", "policy", "preset", "conditioning")]
+    default = with_task(CollectConfig(task=values["task"]))
+    if values["action_space"] != TrainConfig.action_space:
+        parts.append(values["action_space"])
+    if (values["n"], values["m"]) != (default.n, default.m):
+        parts.append(f"n{values['n']}m{values['m']}")
+    if values["views"] != with_task(TrainConfig(task=values["task"])).views:
+        parts.append(f"{values['views']}views")
+    return "runs/" + "-".join([*parts, str(values["seed"])])
 
 
 class Difference(NamedTuple):

@@ -1,17 +1,21 @@
 """Four action spaces: there and back, chunk by chunk, and executed in the simulator."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxcam.actions import ACTION_SPACES, action_dim, controller_of, decode, encode, is_joint
 from jaxcam.data import demo_actions
 from jaxcam.frames import intrinsics
+from jaxcam.presets import NAMES
 from jaxcam.rotations import matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.sim.native import NativeEngine
 from jaxcam.sim.rollout import rollout
 from jaxcam.sim.task import starts
 
 LENGTH = 24
+SPACES = NAMES["action_space"]
 
 
 def trajectory(space, rng):
@@ -39,7 +43,7 @@ def assert_same_targets(space, found, expected):
     np.testing.assert_allclose(*rotations, atol=1e-7)
 
 
-@pytest.mark.parametrize("space", ACTION_SPACES)
+@pytest.mark.parametrize("space", SPACES)
 def test_there_and_back_at_once_and_chunk_by_chunk(space):
     rng = np.random.default_rng(0)
     batch = [trajectory(space, rng) for _ in range(3)]
@@ -75,8 +79,30 @@ def test_delta_rotations_are_about_the_axes_of_the_base():
     np.testing.assert_allclose(matrix_from_rotvec(target[0, 0, 3:]), expected, atol=1e-12)
 
 
+def test_the_authors_differencing_subtracts_numbers():
+    targets, gripper, start = trajectory("eef_delta", np.random.default_rng(1))
+    actions = encode("eef_delta_componentwise", targets, gripper, start)
+    expected = targets - np.concatenate([start[None], targets[:-1]])
+    np.testing.assert_array_equal(actions[:, :6], expected)
+    assert np.linalg.norm(actions[:, 3:6], axis=-1).max() > 3  # where a rotation vector flips
+
+
+@pytest.mark.parametrize("space", SPACES)
+def test_under_jit_as_in_numpy(space):
+    targets, gripper, start = trajectory(space, np.random.default_rng(3))
+    actions = encode(space, targets, gripper, start)[None]
+    found, signs = jax.jit(decode, static_argnums=0)(space, actions, jnp.asarray(start[None]))
+    expected, _ = decode(space, actions, start[None])
+    rotations = [matrix_from_rotvec(np.asarray(x[..., 3:6], float)) for x in (found, expected)]
+    if not is_joint(space):
+        np.testing.assert_allclose(*rotations, atol=1e-5)
+        found, expected = found[..., :3], expected[..., :3]
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    np.testing.assert_array_equal(signs[0], gripper)
+
+
 def test_encode_leaves_its_input_alone():
-    for space in ACTION_SPACES:
+    for space in SPACES:
         targets, gripper, start = trajectory(space, np.random.default_rng(2))
         before = targets.copy()
         encode(space, targets, gripper, start)
