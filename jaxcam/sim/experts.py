@@ -21,6 +21,22 @@ PATIENCE = 80
 """Control steps after which a move is given up."""
 
 
+FUNNEL = 0.012
+"""Distance to the side (m) within which a hand goes all the way down."""
+SLOPE = 4.0
+"""Height of a funnel's wall over its distance to the side."""
+
+
+def funnel(offset: np.ndarray, low: float, high: float) -> float:
+    """Height at which to be, over where one wants to get, when off it by `offset` (m) [3].
+
+    The farther off to the side, the higher: what is approached is neither hit nor lost when the
+    hand has to correct.
+    """
+    aside = float(np.linalg.norm(offset[:2]))
+    return float(np.clip(low + SLOPE * (aside - FUNNEL), low, high))
+
+
 class Hand:
     """The set-point of an expert's gripper, which moves from where it is and never jumps.
 

@@ -4,7 +4,7 @@ robosuite's model classes write the MJCF (arena, Panda, gripper, objects) and it
 package; nothing of robosuite runs at simulation time. From that one MJCF two models are made:
 
 * physics: only what carries mass or collides with an object or the table (fingers, pads, hand,
-  objects, table, floor);
+  objects, table, floor), meshes of objects by hulls of a few vertices;
 * visual: only what is seen, with the table and the room (floor, walls) as mocap bodies, so that a
   scene can move them against the robot from plain arrays.
 
@@ -12,7 +12,7 @@ Both have the same joints in the same order, so one `qpos` serves both.
 """
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -26,13 +26,30 @@ logging.disable(logging.WARNING)  # robosuite warns of parts of it that are not 
 from robosuite.models.arenas import TableArena  # noqa: E402
 from robosuite.models.bases import robot_base_factory  # noqa: E402
 from robosuite.models.grippers import PandaGripper  # noqa: E402
-from robosuite.models.objects import BoxObject  # noqa: E402
+from robosuite.models.objects import (  # noqa: E402
+    BoxObject,
+    CanObject,
+    CanVisualObject,
+    CompositeObject,
+    SquareNutObject,
+)
 from robosuite.models.robots import Panda  # noqa: E402
 from robosuite.models.tasks import ManipulationTask  # noqa: E402
 
 logging.disable(_disabled)
 
-__all__ = ["SCENES", "TABLE_TOP", "BoxObject", "Scene", "build_scene"]
+__all__ = [
+    "SCENES",
+    "TABLE_TOP",
+    "BoxObject",
+    "CanObject",
+    "CanVisualObject",
+    "CompositeObject",
+    "Scene",
+    "SquareNutObject",
+    "build_scene",
+    "prism",
+]
 
 SCENES = ("fixed", "randomized")
 
@@ -87,7 +104,24 @@ class Scene:
         return np.concatenate([qpos[..., self.arm], local, opening], -1).astype(np.float32)
 
 
-def build_scene(objects: Sequence[Any], name: str, markers: Sequence[str] = ()) -> Scene:
+def prism(radius: float, half_height: float, sides: int) -> np.ndarray:
+    """Corners [2 * sides, 3] of an upright prism; `radius` (m) is the mean of its in- and outer.
+
+    It stands in for a cylinder, which MJX-JAX cannot collide with boxes and meshes.
+    """
+    turn = 2 * np.pi * (np.arange(sides) + 0.5) / sides
+    outer = 2 * radius / (1 + np.cos(np.pi / sides))
+    ring = outer * np.stack([np.cos(turn), np.sin(turn)], -1)
+    ends = np.repeat([-half_height, half_height], sides)
+    return np.column_stack([np.tile(ring, (2, 1)), ends])
+
+
+def build_scene(
+    objects: Sequence[Any],
+    name: str,
+    markers: Sequence[str] = (),
+    hulls: Mapping[str, np.ndarray] | None = None,
+) -> Scene:
     """Puts objects on robosuite's table before its Panda.
 
     Args:
@@ -97,6 +131,8 @@ def build_scene(objects: Sequence[Any], name: str, markers: Sequence[str] = ()) 
             `LiftRand` shows a visual sheet and hides the real table).
         markers: names of the objects, made without joints, that are seen and never touched; they
             become mocap bodies of the visual model.
+        hulls: corners (m) [n, 3] of the convex hulls that geoms collide with, by the geom's name;
+            masses and inertias stay the objects' own.
 
     Returns:
         The scene with both models compiled.
@@ -117,7 +153,7 @@ def build_scene(objects: Sequence[Any], name: str, markers: Sequence[str] = ()) 
     xml = task.get_xml()
     full = mujoco.MjModel.from_xml_string(xml)
     names = tuple(o.name for o in objects if o.name not in markers)
-    physics = _physics_model(xml, full, names, markers)
+    physics = _physics_model(xml, full, names, markers, hulls or {})
     visual = _visual_model(xml, full, name, markers)
     data = mujoco.MjData(physics)
     mujoco.mj_kinematics(physics, data)
@@ -142,7 +178,11 @@ def build_scene(objects: Sequence[Any], name: str, markers: Sequence[str] = ()) 
 
 
 def _physics_model(
-    xml: str, full: mujoco.MjModel, objects: Sequence[str], markers: Sequence[str]
+    xml: str,
+    full: mujoco.MjModel,
+    objects: Sequence[str],
+    markers: Sequence[str],
+    hulls: Mapping[str, np.ndarray],
 ) -> mujoco.MjModel:
     """Keeps colliders of gripper, objects, table and floor, and the full model's inertias."""
     spec = _open(xml, full)
@@ -152,6 +192,9 @@ def _physics_model(
         keep = geom.name.startswith((*_COLLIDES, *(f"{o}_" for o in objects)))
         if not keep or (geom.contype == 0 and geom.conaffinity == 0):
             spec.delete(geom)
+    for name, corners in hulls.items():
+        spec.add_mesh(name=f"{name}_hull", uservert=corners.ravel())
+        spec.geom(name).meshname = f"{name}_hull"
     hand = spec.geom("gripper0_right_hand_collision")
     hand.type = mujoco.mjtGeom.mjGEOM_BOX  # fitted to the mesh: eight vertices, not a hundred
     for group in (spec.sensors, spec.cameras, spec.lights, spec.excludes):

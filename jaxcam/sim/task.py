@@ -2,8 +2,9 @@
 
 import functools
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
@@ -63,6 +64,8 @@ class Task(ABC):
     """Vertical field of view of the task's cameras: MuJoCo's default, as the authors' agentview."""
     markers: ClassVar[tuple[str, ...]] = ()
     """Objects that are seen and never touched; their poses follow table and room in `fixtures`."""
+    hulls: ClassVar[Mapping[str, np.ndarray]] = MappingProxyType({})
+    """Corners (m) [n, 3] of the convex hulls that geoms collide with, where those are meshes."""
     varied: ClassVar[tuple[str, ...]] = ()
     """Geoms of the physics model whose size differs between episodes; `<geom>_vis` shows them."""
 
@@ -113,7 +116,7 @@ class Task(ABC):
 
 @functools.cache
 def _scene(task: type[Task], name: str) -> Scene:
-    return build_scene(task().objects(), name, task.markers)
+    return build_scene(task().objects(), name, task.markers, task.hulls)
 
 
 def _fixtures(scene: Scene, markers: int, rng: np.random.Generator) -> np.ndarray:
