@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from jaxcam.rotations import matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.sim.task import Aim, Sight
 
 OPEN, CLOSE = -1.0, 1.0
@@ -15,26 +16,43 @@ STEP = 0.02
 """Longest way (m) that a set-point moves in one control step (authors' code)."""
 EASE = 0.35
 """Share of the way left that a set-point moves in one control step, when that is shorter."""
+TURN = 0.2
+"""Largest turn (rad) of a set-point in one control step (authors' code, Can and Square)."""
 STRAY_STEPS = (2, 6)
 """Control steps for which a set-point strays, from and below."""
+AIMED = 0.1
+"""Angle (rad) between grip and goal that is near enough (authors' code, Square)."""
 PATIENCE = 80
 """Control steps after which a move is given up."""
 
 
-FUNNEL = 0.012
-"""Distance to the side (m) within which a hand goes all the way down."""
-SLOPE = 4.0
-"""Height of a funnel's wall over its distance to the side."""
+INSIDE, SLOPE = 0.012, 4.0
+"""Of a funnel: distance to the side (m) within which a hand goes all the way down, and the height
+of the wall over the distance from there."""
 
 
-def funnel(offset: np.ndarray, low: float, high: float) -> float:
-    """Height at which to be, over where one wants to get, when off it by `offset` (m) [3].
+def funnel(
+    offset: np.ndarray, low: float, high: float, *, inside: float = INSIDE, slope: float = SLOPE
+) -> float:
+    """Height (m) at which to be, `offset` (m) [3] being how far off one is.
 
     The farther off to the side, the higher: what is approached is neither hit nor lost when the
     hand has to correct.
     """
     aside = float(np.linalg.norm(offset[:2]))
-    return float(np.clip(low + SLOPE * (aside - FUNNEL), low, high))
+    return float(np.clip(low + slope * (aside - inside), low, high))
+
+
+def upright(rotation: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Grip axes [3, 3] that point straight down and close along a horizontal `axis` [3].
+
+    Of the two, half a turn apart, those nearer to `rotation`: so joints keep off their limits.
+    """
+    close = np.array([*axis[:2], 0.0]) / np.linalg.norm(axis[:2])
+    if close @ rotation[:, 0] < 0:
+        close = -close
+    down = np.array([0.0, 0.0, -1.0])
+    return np.stack([close, np.cross(down, close), down], -1)
 
 
 class Hand:
@@ -56,17 +74,19 @@ class Hand:
         gripper: float,
         *,
         tolerance: float,
+        turn: Callable[[], np.ndarray] | None = None,
         stray: float = 0.0,
     ) -> Iterator[Aim]:
         """Moves towards a goal (m, world), which may move, until the grip is within `tolerance`.
 
         The set-point covers the share `EASE` of what is left per step, at most `STEP`: fast far
-        away, gentle on arrival.
+        away, gentle on arrival. So it turns, by at most `TURN`.
 
         Args:
             goal: where to.
             gripper: sign of the gripper's command.
             tolerance: distance (m) between grip and goal at which the move ends.
+            turn: grip axes [3, 3] to turn to meanwhile, to within `AIMED`; none keeps them.
             stray: chance per step to stray for a moment in a random direction. Corrections of
                 such errors are what a policy must be shown to recover from its own.
         """
@@ -80,8 +100,11 @@ class Hand:
                 drift = STEP * rng.random() * direction / np.linalg.norm(direction)
             if astray:
                 astray, move = astray - 1, drift
+            if turn is not None:
+                self._turn(turn())
             yield self._move(move, gripper)
-            if not astray and np.linalg.norm(goal() - self._sight.grip_position) < tolerance:
+            near = np.linalg.norm(goal() - self._sight.grip_position) < tolerance
+            if near and not astray and (turn is None or self._angle(turn()) < AIMED):
                 return
 
     def hold(self, gripper: float, *, steps: int) -> Iterator[Aim]:
@@ -92,3 +115,12 @@ class Hand:
     def _move(self, move: np.ndarray, gripper: float) -> Aim:
         self._point = self._point + move
         return Aim(self._point, self._rotation, gripper)
+
+    def _turn(self, goal: np.ndarray) -> None:
+        left = rotvec_from_matrix(goal @ self._rotation.T)
+        left = left * min(EASE, TURN / max(np.linalg.norm(left), 1e-9))
+        self._rotation = matrix_from_rotvec(left) @ self._rotation
+
+    def _angle(self, goal: np.ndarray) -> float:
+        """How far (rad) the grip is turned from `goal`."""
+        return float(np.linalg.norm(rotvec_from_matrix(goal @ self._sight.grip_rotation.T)))

@@ -106,7 +106,7 @@ class Task(ABC):
         rng = np.random.default_rng([seed, 0])
         start = Start(
             qpos=scene.physics.qpos0.copy(),
-            geom_size=np.array([scene.physics.geom(name).size for name in self.varied]),
+            geom_size=np.reshape([scene.physics.geom(name).size for name in self.varied], (-1, 3)),
             fixtures=_fixtures(scene, len(self.markers), np.random.default_rng([seed, 1])),
         )
         start.qpos[scene.arm] = scene.home + START_JOINT_NOISE * rng.standard_normal(7)

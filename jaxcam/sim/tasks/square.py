@@ -1,0 +1,140 @@
+"""Assembly Square: put the square nut over the peg."""
+
+from collections.abc import Iterator
+from typing import Any, ClassVar
+
+import numpy as np
+
+from jaxcam.rotations import Array, array_namespace
+from jaxcam.sim.engine import Start, State
+from jaxcam.sim.experts import CLOSE, OPEN, Hand, funnel, upright
+from jaxcam.sim.scene import TABLE_TOP, CompositeObject, Scene, SquareNutObject
+from jaxcam.sim.task import Aim, Sight, Task
+
+NUT_HALF_HEIGHT, HANDLE = 0.010, 0.054
+"""Of robosuite's nut (m), its origin being the middle of the hole: half its thickness, and how far
+along its x axis the handle's middle is."""
+PEG_RADIUS, PEG_HALF_LENGTH = 0.012, 0.05
+BASE_HALF_SIZE = (0.06, 0.06, 0.005)
+DENSITY = 2000.0
+"""The peg on its base (m, kg/m³), which stands freely (authors' SquareRand)."""
+PLACEMENT = 0.18
+"""Half-range (m) of x and y of nut and peg on the table (authors' SquareRand)."""
+APART = 0.17
+"""Least distance (m) between nut and peg at the start: the nut's handle never lies on the base,
+whatever the yaws (the authors let it, from 0.137)."""
+AROUND, LOW = 0.03, 0.1
+"""Distance (m) along x and along y between nut and peg, and height (m) of the nut above the table,
+below which it sits on the peg (authors' SquareRand)."""
+AWAY = float(np.arctanh(0.4) / 10)
+"""Distance (m) from the grip at which something is let go: 1 - tanh(10 d) < 0.6 (robosuite)."""
+GRIP, GRASP, HOVER = 0.062, 0.003, 0.12
+"""Where the expert grips the nut (m): how far along its x axis and over its middle, and how high
+above that it comes from."""
+OVER, DOWN = 0.155, 0.026
+"""Heights (m) of the nut above the table when carried over the peg, and when let go."""
+
+
+def _peg() -> Any:
+    """A cylinder on a square base; it collides as a capsule, which any engine does with boxes."""
+    length, middle = 2 * PEG_HALF_LENGTH, [0, 0, PEG_HALF_LENGTH + BASE_HALF_SIZE[2]]
+    filled = 1 - 2 / 3 * PEG_RADIUS / length  # capsule's volume over the cylinder's
+    return CompositeObject(
+        name="peg",
+        total_size=[*BASE_HALF_SIZE[:2], PEG_HALF_LENGTH + BASE_HALF_SIZE[2]],
+        geom_types=["box", "capsule", "cylinder"],
+        geom_names=["base", "rod", "stick"],
+        geom_sizes=[
+            BASE_HALF_SIZE,
+            [PEG_RADIUS, PEG_HALF_LENGTH - PEG_RADIUS],
+            [PEG_RADIUS, PEG_HALF_LENGTH],
+        ],
+        geom_locations=[[0, 0, 0], middle, middle],
+        locations_relative_to_center=True,
+        obj_types=["all", "collision", "visual"],
+        density=[DENSITY, DENSITY / filled, None],
+        rgba=[0.22, 0.36, 0.62, 1],
+    )
+
+
+class Square(Task):
+    """Assembly Square (paper, section IV-A; robosuite's nut, the authors' `SquareRand`)."""
+
+    name: ClassVar[str] = "square"
+    horizon: ClassVar[int] = 600
+    views: ClassVar[int] = 2
+    stair: ClassVar[tuple[int, int]] = (4, 2)
+
+    def objects(self) -> list[Any]:
+        """A square nut with a handle, and a peg."""
+        return [SquareNutObject(name="nut"), _peg()]
+
+    def place(self, scene: Scene, rng: np.random.Generator, start: Start) -> None:
+        """Both within 0.18 m of the table's centre, 0.17 m apart; the nut 1 cm above the table."""
+        place = rng.uniform(-PLACEMENT, PLACEMENT, (2, 2))
+        while np.linalg.norm(place[0] - place[1]) < APART:
+            place = rng.uniform(-PLACEMENT, PLACEMENT, (2, 2))
+        heights = NUT_HALF_HEIGHT + 0.01, BASE_HALF_SIZE[2]
+        for name, (x, y), height in zip(("nut", "peg"), place, heights, strict=True):
+            at, yaw = scene.qpos_of(name), rng.uniform(-np.pi, np.pi)
+            start.qpos[at : at + 3] = x, y, TABLE_TOP + height
+            start.qpos[at + 3 : at + 7] = [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
+
+    def success(self, scene: Scene, state: State, start: Start) -> Array:
+        """The nut is around the peg and low, and the gripper away from its middle and its handle.
+
+        robosuite and the authors measure the gripper's distance from the nut's middle alone, which
+        a hand that still holds the handle passes.
+        """
+        xp = array_namespace(state.qpos)
+        nut, peg = scene.qpos_of("nut"), scene.qpos_of("peg")
+        middle = state.qpos[..., nut : nut + 3]
+        handle = middle + HANDLE * _x_axis(state.qpos[..., nut + 3 : nut + 7])
+        aside = xp.abs(middle - state.qpos[..., peg : peg + 3])
+        around = (aside[..., 0] < AROUND) & (aside[..., 1] < AROUND)
+        for point in (middle, handle):
+            distance = xp.sqrt(((state.grip_position - point) ** 2).sum(-1))
+            around = around & (distance > AWAY)
+        return around & (middle[..., 2] < TABLE_TOP + LOW)
+
+    def expert(self, scene: Scene, sight: Sight) -> Iterator[Aim]:
+        """Turn over the handle, down, close, up, over the peg, down around it, open, away."""
+        at, peg = scene.qpos_of("nut"), scene.qpos_of("peg")
+        nut = slice(at, at + 3)
+        hand = Hand(sight)
+
+        def along() -> np.ndarray:
+            return _x_axis(sight.qpos[at + 3 : at + 7])
+
+        def grasp() -> np.ndarray:
+            return sight.qpos[nut] + GRIP * along() + [0, 0, GRASP]
+
+        def over_handle(least: float = 0) -> np.ndarray:
+            return np.add(grasp(), [0, 0, funnel(sight.grip_position - grasp(), least, HOVER)])
+
+        def over_peg() -> np.ndarray:
+            there = np.array([*sight.qpos[peg : peg + 2], TABLE_TOP])
+            height = funnel(sight.qpos[nut] - there, DOWN, OVER, inside=0.006, slope=20)
+            return sight.grip_position + there - sight.qpos[nut] + [0, 0, height]
+
+        def across() -> np.ndarray:
+            return upright(sight.grip_rotation, np.cross([0, 0, 1], along()))
+
+        yield from hand.reach(
+            lambda: over_handle(HOVER), OPEN, tolerance=0.04, turn=across, stray=0.06
+        )
+        yield from hand.reach(over_handle, OPEN, tolerance=0.005, turn=across)
+        yield from hand.hold(CLOSE, steps=9)
+        up = np.array([*sight.grip_position[:2], TABLE_TOP + OVER])
+        yield from hand.reach(lambda: up, CLOSE, tolerance=0.02)
+        yield from hand.reach(over_peg, CLOSE, tolerance=0.004)
+        yield from hand.hold(OPEN, steps=6)
+        away = np.add(sight.grip_position, [0, 0, HOVER])
+        yield from hand.reach(lambda: away, OPEN, tolerance=0.03)
+
+
+def _x_axis(quaternion: Array) -> Array:
+    """The x axis [..., 3] of a body with quaternion wxyz [..., 4]."""
+    w, x, y, z = (quaternion[..., i] for i in range(4))
+    xp = array_namespace(quaternion)
+    return xp.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], -1)
