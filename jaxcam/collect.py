@@ -18,6 +18,7 @@ from jaxcam.errors import SimError, run_main
 from jaxcam.locks import exclusive
 from jaxcam.progress import progress
 from jaxcam.rays import sample_poses, stair, stair_cameras
+from jaxcam.replay import replay_all
 from jaxcam.rotations import quaternion_from_matrix, rotvec_from_matrix
 from jaxcam.sim import make_task
 from jaxcam.sim.controllers import CONTROL_HZ
@@ -37,7 +38,7 @@ VALIDATION_CAMERAS = 3
 """Seed of the validation demonstrations' cameras."""
 BATCH = 50
 LEAST_SUCCESS = 0.9
-"""Share of expert episodes below which something is broken and collection stops."""
+"""Share of episodes worth keeping below which something is broken and collection stops."""
 
 
 def dataset_path(config: CollectConfig) -> Path:
@@ -64,13 +65,14 @@ def collect(config: CollectConfig, console: Console | None = None) -> Demos:
         scene = task.scene(config.scene)
         with exclusive(path, console):
             if not path.exists():
-                with DemoWriter(path, _header(config, task, scene)) as writer:
+                with DemoWriter(path, new_header(config, task, scene)) as writer:
                     _fill(writer, task, scene, console)
                     writer.finish()
     return read_demos(path, task=config.task, scene=config.scene)
 
 
-def _header(config: CollectConfig, task: Task, scene: Scene) -> Header:
+def new_header(config: CollectConfig, task: Task, scene: Scene) -> Header:
+    """What the file of a complete config says of itself, its cameras drawn."""
     poses = [
         sample_poses(task.cameras, stair_cameras(config.demos, config.n, config.m), TRAIN_CAMERAS),
         sample_poses(task.cameras, config.validation, VALIDATION_CAMERAS),
@@ -91,18 +93,22 @@ def _header(config: CollectConfig, task: Task, scene: Scene) -> Header:
     )
 
 
+def camera_windows(header: Header) -> list[np.ndarray]:
+    """Rows of the cameras that see each demonstration: the stair's, then one each held out."""
+    cameras = len(header.world_from_camera)
+    held_out = np.arange(cameras - header.valid, cameras)
+    return [*stair(header.train, header.n, header.m), *held_out[:, None]]
+
+
 def _fill(writer: DemoWriter, task: Task, scene: Scene, console: Console | None) -> None:
-    """Runs expert episodes until every slot of the file has a successful one."""
+    """Runs expert episodes until every slot of the file has one that replays in every space."""
     header = writer.header
     total = header.train + header.valid
-    windows = stair(header.train, header.n, header.m)
-    held_out = np.arange(
-        len(header.world_from_camera) - header.valid, len(header.world_from_camera)
-    )
-    cameras = [*windows, *held_out[:, None]]
+    cameras = camera_windows(header)
     engine = NativeEngine(scene, "osc_pose", varied=task.varied)
     seeds = episode_seeds(header.seed)
-    tried = succeeded = 0
+    tried = succeeded = kept = 0
+    unsteady: list[int] = []
     with progress(console, "collecting", total, done=len(writer.done)) as advance:
         slots = iter(sorted(set(range(total)) - writer.done))
         # Attempt k of slot i has seed i + k * total: an interrupted collection ends as a whole one.
@@ -110,22 +116,34 @@ def _fill(writer: DemoWriter, task: Task, scene: Scene, console: Console | None)
         while todo:
             batch, todo = todo[:BATCH], todo[BATCH:]
             episodes = run_expert(task, scene, engine, [seeds[i + k * total] for i, k in batch])
+            good = [demo for demo in episodes if demo is not None]
+            unsteady += _unsteady(good, task, scene)
             for (slot, attempt), demo in zip(batch, episodes, strict=True):
-                tried += 1
-                if demo is None:
+                if demo is None or demo.seed in unsteady:
                     todo.append((slot, attempt + 1))
                     continue
-                succeeded += 1
+                kept += 1
                 writer.append(slot, replace(demo, cameras=cameras[slot]))
                 advance()
-            if tried >= 20 and succeeded < LEAST_SUCCESS * tried:
+            tried, succeeded = tried + len(batch), succeeded + len(good)
+            told = f"The expert succeeded in {succeeded} of {tried} episodes"
+            if unsteady:
+                told += f"; those of seeds {unsteady} do not replay in every action space"
+            if tried >= 20 and kept < LEAST_SUCCESS * tried:
                 raise SimError(
-                    f"{writer.part}: the expert succeeded in {succeeded} of {tried} episodes of "
-                    f"{task.name}; at least {LEAST_SUCCESS:.0%} was expected. What was collected "
-                    "is kept."
+                    f"{writer.part}: {told}. At least {LEAST_SUCCESS:.0%} of {task.name}'s "
+                    "episodes should be worth keeping. What was collected is kept."
                 )
     if console and tried:
-        console.print(f"The expert succeeded in {succeeded} of {tried} episodes.")
+        console.print(f"{told}{' and were replaced' * bool(unsteady)}.")
+
+
+def _unsteady(demos: list[Demo], task: Task, scene: Scene) -> list[int]:
+    """Seeds of the demonstrations that fail when replayed in one of the four action spaces."""
+    if not demos:
+        return []
+    holds = np.all(list(replay_all(demos, task, scene).values()), 0)
+    return [demo.seed for demo, held in zip(demos, holds, strict=True) if not held]
 
 
 def episode_seeds(seed: int) -> range:

@@ -172,6 +172,20 @@ class CollectConfig:
         _check_window(self.n, self.m)
 
 
+@dataclass(frozen=True)
+class ReplayConfig:
+    """Replay demonstrations in each action space and count how many succeed."""
+
+    dataset: tyro.conf.Positional[str]
+    """HDF5 file of demonstrations."""
+    action_space: Annotated[tuple[str, ...], one_of("action_space")] = ()
+    """Action spaces to replay in; the paper's four unless given."""
+
+    def __post_init__(self) -> None:
+        check_types(self)
+        check_names(self)
+
+
 def with_task(config: C) -> C:
     """The config with the cameras of its task where they are unset: views, n and m."""
     from jaxcam.sim import make_task
@@ -220,12 +234,12 @@ def resolve(config: TrainConfig, *, accelerator: bool | None = None) -> TrainCon
 def _run_dir(values: dict[str, Any]) -> str:
     """A folder's name: what runs are usually compared by, then what is not the task's default."""
     parts = [values[k] for k in ("task", "scene", "policy", "preset", "conditioning")]
-    default = with_task(CollectConfig(task=values["task"]))
-    if values["action_space"] != TrainConfig.action_space:
+    usual = with_task(TrainConfig(task=values["task"]))
+    if values["action_space"] != usual.action_space:
         parts.append(values["action_space"])
-    if (values["n"], values["m"]) != (default.n, default.m):
+    if (values["n"], values["m"]) != (usual.n, usual.m):
         parts.append(f"n{values['n']}m{values['m']}")
-    if values["views"] != with_task(TrainConfig(task=values["task"])).views:
+    if values["views"] != usual.views:
         parts.append(f"{values['views']}views")
     return "runs/" + "-".join([*parts, str(values["seed"])])
 

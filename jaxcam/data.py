@@ -11,11 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxcam.actions import encode, is_joint
+from jaxcam.actions import demo_actions
 from jaxcam.demos import Demo, Demos
 from jaxcam.frames import Frames, intrinsics
 from jaxcam.rays import invert
-from jaxcam.rotations import matrix_from_quaternion, rotvec_from_matrix
 from jaxcam.sim.scene import Scene
 
 Batch = dict[str, Any]
@@ -140,7 +139,7 @@ def make_dataset(
     nq = demos.header.nq
     actions, keyframes, proprio = [], [], []
     for demo in every:
-        moves = demo_actions(demo, space, nq, scene.arm)
+        moves = demo_actions(demo, space, scene)
         state = scene.proprio(demo.qpos(nq), demo.eef_pos)[:-1]
         pad = ((0, longest - demo.length), (0, 0))
         actions.append(np.pad(moves, pad))
@@ -170,16 +169,6 @@ def _keyframes(demo: Demo, scene: Scene) -> np.ndarray:
     following = changes[np.searchsorted(changes, np.arange(demo.length), side="right")]
     world = demo.eef_pos[following]
     return (world - scene.world_from_base[:3, 3]) @ scene.world_from_base[:3, :3]
-
-
-def demo_actions(demo: Demo, space: str, nq: int, arm: np.ndarray) -> np.ndarray:
-    """A demonstration's commands as actions [T, A]; joint targets are the joints reached."""
-    qpos = demo.qpos(nq)
-    if is_joint(space):
-        return encode(space, qpos[1:, arm], demo.actions[:, -1], qpos[0, arm])
-    quat = np.roll(demo.eef_quat[0], 1)
-    start = np.concatenate([demo.eef_pos[0], rotvec_from_matrix(matrix_from_quaternion(quat))])
-    return encode(space, demo.actions[:, :-1], demo.actions[:, -1], start)
 
 
 def stacked_batches(

@@ -131,8 +131,9 @@ def check_names(config: Any) -> None:
     """Refuses names that are not known, naming the closest."""
     for field, known in NAMES.items():
         value = getattr(config, field, None)
-        if value is not None and value not in known:
-            raise ConfigError(f"Unknown {field} '{value}'{closest(value, known)}.")
+        for name in value if isinstance(value, tuple) else (value,):
+            if name is not None and name not in known:
+                raise ConfigError(f"Unknown {field} '{name}'{closest(name, known)}.")
 
 
 def check_least(config: Any, least: float, fields: str, *, or_equal: bool = True) -> None:

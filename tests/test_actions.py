@@ -5,8 +5,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxcam.actions import ACTION_SPACES, action_dim, controller_of, decode, encode, is_joint
-from jaxcam.data import demo_actions
+from jaxcam.actions import (
+    ACTION_SPACES,
+    action_dim,
+    controller_of,
+    decode,
+    demo_actions,
+    encode,
+    is_joint,
+)
 from jaxcam.frames import intrinsics
 from jaxcam.presets import NAMES
 from jaxcam.rotations import matrix_from_rotvec, rotvec_from_matrix
@@ -115,7 +122,7 @@ def test_collected_demonstrations_replay_in_every_space(space, lift, scene, rend
     chunk = 16
     moves = []
     for demo in every:
-        actions = demo_actions(demo, space, demos.header.nq, scene.arm)
+        actions = demo_actions(demo, space, scene)
         rest = (
             np.zeros_like(actions) if space.endswith("delta") else np.tile(actions[-1:], (200, 1))
         )

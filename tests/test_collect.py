@@ -1,7 +1,10 @@
 """The scripted expert: success, bounded commands, and an interrupted collection's seeds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from rich.console import Console
 
 from jaxcam import collect as collect_module
 from jaxcam.collect import FIRST_SEED, collect, dataset_path, episode_seeds, run_expert
@@ -117,11 +120,29 @@ def test_a_broken_expert_stops_collection_and_keeps_what_there_is(demos, tmp_pat
     expert = Sometimes(demos.train[0], set(range(5, 10_000)))
     monkeypatch.setattr(collect_module, "run_expert", expert)
     config = CollectConfig(demos=20, validation=2, data_dir=str(tmp_path))
-    with pytest.raises(SimError, match="succeeded in 5 of 22 episodes of lift"):
+    with pytest.raises(SimError, match=r"succeeded in 5 of 22 episodes\. At least 90% of lift"):
         collect(config)
     assert not dataset_path(config).exists()
     monkeypatch.setattr(collect_module, "run_expert", Sometimes(demos.train[0], set()))
     assert len(collect(config).train) == 20
+
+
+def test_what_does_not_replay_is_replaced_and_told(demos, scene, tmp_path, monkeypatch):
+    class Unsteady(Sometimes):
+        def __call__(self, task, scene, engine, seeds):
+            found = super().__call__(task, scene, engine, seeds)
+            states = self.template.states.copy()
+            states[:, 1 + scene.qpos_of("cube")] += 0.1  # not where its commands reach
+            return [replace(d, states=states) if d.seed == FIRST_SEED + 1 else d for d in found]
+
+    monkeypatch.setattr(collect_module, "run_expert", Unsteady(demos.train[0], set()))
+    console = Console(record=True)
+    config = CollectConfig(demos=3, validation=0, data_dir=str(tmp_path))
+    found = collect(config, console)
+    assert [d.seed - FIRST_SEED for d in found.train] == [0, 4, 2]
+    assert f"those of seeds [{FIRST_SEED + 1}] do not replay" in " ".join(
+        console.export_text().split()
+    )
 
 
 def test_a_dataset_without_validation_demonstrations(tmp_path, demos, monkeypatch):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from jaxcam.actions import ACTION_SPACES, action_dim
-from jaxcam.data import STD_FLOOR, demo_actions, make_dataset, stacked_batches
+from jaxcam.actions import ACTION_SPACES, action_dim, demo_actions
+from jaxcam.data import STD_FLOOR, make_dataset, stacked_batches
 
 CHUNK = 10
 
@@ -73,7 +73,7 @@ def test_a_batch_holds_what_its_index_names(dataset, demos, frames, scene):
     assert {k: (batch[k].shape, batch[k].dtype.name) for k in expected} == expected
     for b in range(2):
         d = demos.train[demo[b]]
-        moves = demo_actions(d, "eef_delta", demos.header.nq, scene.arm)
+        moves = demo_actions(d, "eef_delta", scene)
         np.testing.assert_allclose(batch["action"][b], moves[t[b] : t[b] + CHUNK], atol=1e-6)
         qpos = d.qpos(demos.header.nq)[t[b]]
         np.testing.assert_allclose(batch["proprio"][b, :7], qpos[:7], atol=1e-6)
@@ -98,9 +98,7 @@ def test_what_is_past_the_end_is_masked_and_zero(dataset):
 
 
 def test_statistics_are_of_the_training_demonstrations(dataset, demos, scene):
-    moves = np.concatenate(
-        [demo_actions(d, "eef_delta", demos.header.nq, scene.arm) for d in demos.train]
-    )
+    moves = np.concatenate([demo_actions(d, "eef_delta", scene) for d in demos.train])
     felt = np.concatenate(
         [scene.proprio(d.qpos(demos.header.nq), d.eef_pos)[:-1] for d in demos.train]
     )

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxcam.data import demo_actions
+from jaxcam.actions import demo_actions
 from jaxcam.frames import intrinsics
 from jaxcam.rays import sample_poses
 from jaxcam.sim.engine import State
@@ -49,7 +49,7 @@ def replay(demos, scene):
         moves = np.zeros((len(which), 200, 7))
         for i, demo in enumerate(which):
             if demo is not None:
-                actions = demo_actions(demo, "eef_delta", demos.header.nq, scene.arm)
+                actions = demo_actions(demo, "eef_delta", scene)
                 moves[i, : len(actions)] = actions
                 moves[i, len(actions) :, -1] = 1
         return lambda obs, call: moves[:, call * CHUNK : (call + 1) * CHUNK]

@@ -17,6 +17,8 @@ CONTROL_HZ = 20
 """Control steps per second (paper, and robosuite's default)."""
 OSC_KP = 150.0
 JOINT_KP = 50.0
+JOINT_LAG = 2 / np.sqrt(JOINT_KP)
+"""Time (s) by which joints that move steadily trail behind the targets of `joint_position`."""
 NULL_KP = 10.0
 GRIPPER_SPEED = 0.2
 """Change of the gripper's command per control step; its range is [-1 open, 1 closed]."""
