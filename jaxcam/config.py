@@ -24,7 +24,7 @@ from jaxcam.fields import (
 )
 from jaxcam.presets import PRESETS
 
-C = TypeVar("C", "TrainConfig", "CollectConfig")
+C = TypeVar("C", "TrainConfig", "CollectConfig", "RobomimicConfig")
 
 # Settings that leave every update of a run as it was; all others are part of a run's identity.
 FREE_TO_CHANGE = frozenset(
@@ -184,6 +184,42 @@ class ReplayConfig:
     def __post_init__(self) -> None:
         check_types(self)
         check_names(self)
+
+
+@dataclass(frozen=True)
+class RobomimicConfig:
+    """Import robomimic's demonstrations of robosuite by replaying their states."""
+
+    file: tyro.conf.Positional[str]
+    """HDF5 file in robomimic's layout, of robosuite 1.4 or 1.5."""
+    out: Annotated[
+        str | None, tyro.conf.arg(metavar="STR"), default("data/TASK-SCENE-FILE.hdf5")
+    ] = None
+    """Dataset to write; train on it with `python -m jaxcam.train --dataset`."""
+    task: Annotated[str, one_of("task")] = "lift"
+    """What the robot has to do."""
+    scene: Annotated[str, one_of("scene")] = "randomized"
+    """Whether the table and the room that are seen stand still or move from episode to episode."""
+    actions: Annotated[str, one_of("actions")] = "commands"
+    """Where commands come from: the file's own OSC_POSE actions, or the poses that its states
+    reach, which every file has."""
+    filter_key: Annotated[str | None, tyro.conf.arg(metavar="STR"), default("every one")] = None
+    """Import only the demonstrations of this entry of the file's `mask`."""
+    validation: Annotated[
+        int | None, tyro.conf.arg(metavar="INT"), default("those of mask/valid, else every tenth")
+    ] = None
+    """Validation demonstrations, the last ones."""
+    n: Annotated[FromPreset[int], default("the task's")] = PRESET
+    """Cameras a demonstration is seen from."""
+    m: Annotated[FromPreset[int], default("the task's")] = PRESET
+    """Cameras by which that window moves from one demonstration to the next."""
+
+    def __post_init__(self) -> None:
+        check_types(self)
+        check_names(self)
+        check_least(self, 1, "n")
+        check_least(self, 0, "validation m")
+        _check_window(self.n, self.m)
 
 
 def with_task(config: C) -> C:

@@ -20,6 +20,7 @@ NAMES: dict[str, tuple[str, ...]] = {
         "joint_abs",
         "eef_delta_componentwise",
     ),
+    "actions": ("commands", "states"),
     "schedule": ("constant", "cosine"),
     "precision": ("float32", "bfloat16"),
     "split": ("test", "validation"),
