@@ -7,6 +7,7 @@ policy. Attribute docstrings are what `--help` prints. Nothing here imports JAX,
 import dataclasses
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypeVar
 
 import tyro
@@ -28,7 +29,7 @@ C = TypeVar("C", "TrainConfig", "CollectConfig", "RobomimicConfig")
 
 # Settings that leave every update of a run as it was; all others are part of a run's identity.
 FREE_TO_CHANGE = frozenset(
-    {"pairs", "data_dir", "run_dir", "log_every", "eval_every", "save_every", "keep"}
+    {"pairs", "data_dir", "dataset", "run_dir", "log_every", "eval_every", "save_every", "keep"}
 )
 
 
@@ -94,6 +95,8 @@ class TrainConfig:
 
     data_dir: str = "data"
     """Folder of the datasets."""
+    dataset: Annotated[str, default("collected")] = ""
+    """Dataset file to train on, for example an imported one; it brings demos, validation, n, m."""
     run_dir: Annotated[FromPreset[str], default("runs/TASK-SCENE-POLICY-...-SEED")] = PRESET
     """Folder of the run."""
     log_every: FromPreset[int] = PRESET
@@ -277,6 +280,8 @@ def _run_dir(values: dict[str, Any]) -> str:
         parts.append(f"n{values['n']}m{values['m']}")
     if values["views"] != usual.views:
         parts.append(f"{values['views']}views")
+    if values["dataset"]:
+        parts.append(Path(values["dataset"]).stem)
     return "runs/" + "-".join([*parts, str(values["seed"])])
 
 

@@ -9,10 +9,11 @@ import logging
 import shlex
 import sys
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxcam.config import CollectConfig, TrainConfig, resolve
-from jaxcam.errors import run_main
+from jaxcam.errors import ConfigError, run_main
 from jaxcam.fields import cli
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ def train(config: TrainConfig, console: "Console | None" = None) -> int:
     """
     from jaxcam.rundir import RunDir, interrupts
 
-    config = resolve(config)
+    config = resolve(_like_its_dataset(config))
     with RunDir.open(config) as run:
         try:
             dataset = _dataset(config, console)
@@ -62,6 +63,23 @@ def _say_how_to_go_on(console: "Console | None", what: str) -> None:
         console.print(f"{what} To go on, run the same command again:\n  {command}", soft_wrap=True)
 
 
+def _like_its_dataset(config: TrainConfig) -> TrainConfig:
+    """The config with the demonstrations and cameras of the dataset that it names, if any."""
+    if not config.dataset:
+        return config
+    from jaxcam.demos import read_demos
+
+    header = read_demos(Path(config.dataset), task=config.task, scene=config.scene).header
+    counts = {"demos": header.train, "validation": header.valid, "n": header.n, "m": header.m}
+    for name, count in counts.items():
+        if getattr(config, name) not in (count, getattr(TrainConfig, name)):
+            raise ConfigError(
+                f"{name} is {count} in {config.dataset}, but {getattr(config, name)} was asked. "
+                f"Leave --{name} out: a dataset brings its own."
+            )
+    return dataclasses.replace(config, **counts)
+
+
 def collect_config(config: TrainConfig) -> CollectConfig:
     """The dataset a run trains on; every training seed shares it."""
     names = [f.name for f in dataclasses.fields(CollectConfig) if f.name != "seed"]
@@ -71,10 +89,14 @@ def collect_config(config: TrainConfig) -> CollectConfig:
 def _dataset(config: TrainConfig, console: "Console | None") -> "Dataset":
     from jaxcam.collect import collect
     from jaxcam.data import make_dataset
+    from jaxcam.demos import read_demos
     from jaxcam.frames import load_frames
     from jaxcam.sim import make_task
 
-    demos = collect(collect_config(config), console)
+    if config.dataset:
+        demos = read_demos(Path(config.dataset), task=config.task, scene=config.scene)
+    else:
+        demos = collect(collect_config(config), console)
     frames = load_frames(demos, config.resolution, console)
     return make_dataset(
         demos, frames, config.action_space, make_task(config.task).scene(config.scene)
