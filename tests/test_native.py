@@ -27,8 +27,8 @@ def run(engine, lift, scene, start, active=None, spoil=None, steps=STEPS):
     targets, gripper = commands(lift, scene, state, steps)
     states = [state]
     for t in range(steps):
-        if spoil == t:
-            state.qvel[1, 3] = np.inf
+        if spoil and spoil[0] == t:
+            state.qvel[1, 3] = spoil[1]
         command = Command(targets[t], np.full(len(start.qpos), gripper[t]))
         state = engine.step(state, command, active)
         states.append(state)
@@ -100,20 +100,67 @@ def test_step_leaves_its_input_alone(lift, scene, start):
         np.testing.assert_array_equal(a, b)
 
 
+def test_any_state_can_be_gone_on_from(lift, scene, start, batch):
+    """Worlds that are somewhere else are computed anew, and then like those that were there."""
+    engine = NativeEngine(scene, varied=lift.varied)
+    states = run(engine, lift, scene, start)
+    targets, gripper = commands(lift, scene, states[0])
+    mixed = type(states[0])(*(np.copy(x) for x in states[-1]))
+    for now, then in zip(mixed, states[7], strict=True):
+        now[[0, 3]] = then[[0, 3]]
+    after = engine.step(mixed, Command(targets[7], np.full(4, gripper[7])))
+    for now, then in zip(after, batch[8], strict=True):
+        np.testing.assert_array_equal(now[[0, 3]], then[[0, 3]])
+
+
+@pytest.mark.parametrize("bad", [np.inf, np.nan, 1e12])
 def test_a_diverging_world_is_flagged_and_the_others_go_on(
-    lift, scene, start, batch, tmp_path, monkeypatch
+    lift, scene, start, batch, tmp_path, monkeypatch, caplog, bad
 ):
     monkeypatch.chdir(tmp_path)
-    engine = NativeEngine(scene, varied=lift.varied)
-    states = run(engine, lift, scene, start, spoil=5)
+    engine = NativeEngine(scene, varied=lift.varied, threads=1)  # one group: worlds step together
+    states = run(engine, lift, scene, start, spoil=(5, bad))
     assert states[5].ok.all()
+    others = [0, 2, 3]
     for t in range(6, STEPS + 1):
         assert states[t].ok.tolist() == [True, False, True, True]
-        others = [0, 2, 3]
-        np.testing.assert_array_equal(states[t].qpos[others], batch[t].qpos[others])
+        for now, then in zip(states[t], batch[t], strict=True):
+            np.testing.assert_array_equal(now[others], then[others])
     np.testing.assert_array_equal(states[-1].closed[1], states[6].closed[1])
     assert np.isfinite(states[-1].grip_position).all()
-    assert engine.reset(start).ok.all()
+    for again, before in zip(run(engine, lift, scene, start), batch, strict=True):
+        same(again, before)
+    assert "QVEL at DOF 3" in caplog.text
+    assert not list(tmp_path.iterdir())  # where MuJoCo would write its own log
+
+
+def test_a_command_that_is_no_number_is_flagged(lift, scene, start, batch):
+    engine = NativeEngine(scene, varied=lift.varied, threads=1)
+    state = engine.reset(start)
+    targets, gripper = commands(lift, scene, state)
+    targets[0, 1, 2] = np.nan
+    state = engine.step(state, Command(targets[0], np.full(4, gripper[0])))
+    assert state.ok.tolist() == [True, False, True, True]
+    np.testing.assert_array_equal(state.qpos[[0, 2, 3]], batch[1].qpos[[0, 2, 3]])
+
+
+@pytest.mark.parametrize("controller", ["osc_pose", "joint_position"])
+def test_an_unreachable_target_does_no_harm(lift, scene, start, controller):
+    """The arm swings about at its limits and pushes down on the table, but stays sound."""
+    engine = NativeEngine(scene, controller, varied=lift.varied)
+    state = engine.reset(start)
+    if controller == "osc_pose":
+        far = state.grip_position + 3 * np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, -1]])
+        target = np.concatenate([far, np.tile([np.pi, 0, 0], (4, 1))], -1)
+    else:
+        target = state.rest + np.array([[10.0], [-10.0], [3.0], [-3.0]])
+    for _ in range(30):
+        state = engine.step(state, Command(target, np.ones(4)))
+    assert state.ok.all()
+    joints = scene.physics.jnt_range[scene.arm]
+    arm = state.qpos[:, scene.arm]
+    assert (arm > joints[:, 0] - 0.02).all()
+    assert (arm < joints[:, 1] + 0.02).all()
 
 
 def test_cube_size_decides_mass_and_where_it_rests(lift, scene):
@@ -121,7 +168,7 @@ def test_cube_size_decides_mass_and_where_it_rests(lift, scene):
     half = np.array([[0.020, 0.021, 0.022], [0.022, 0.022, 0.020], [0.02, 0.02, 0.0215]])
     start.geom_size[:, 0] = half
     start.qpos[:, scene.qpos_of("cube") + 2] = TABLE_TOP + half[:, 2] + 0.003
-    engine = NativeEngine(scene, varied=lift.varied)
+    engine = NativeEngine(scene, varied=lift.varied, threads=1)
     state = engine.reset(start)
     hover = Command(
         np.concatenate([state.grip_position, np.tile([np.pi, 0, 0], (3, 1))], -1), -np.ones(3)
@@ -130,8 +177,8 @@ def test_cube_size_decides_mass_and_where_it_rests(lift, scene):
         state = engine.step(state, hover)
     rest = state.qpos[:, scene.qpos_of("cube") + 2] - TABLE_TOP
     np.testing.assert_allclose(rest, half[:, 2], atol=3e-4)
-    for world, h in zip(engine._worlds, half, strict=False):
-        cube = world.model.body("cube_main")
+    for i, h in enumerate(half):
+        cube = engine._groups[0]._batch.get_model(i).body("cube_main")
         full = 2 * h
         mass = scene.physics.body("cube_main").mass[0] * full.prod() / 0.042**3
         np.testing.assert_allclose(cube.mass[0], mass, rtol=1e-6)

@@ -101,7 +101,10 @@ def finger_targets(closed: Array) -> Array:
 
 def _rotation_error(xp: Any, current: Array, target: Array) -> Array:
     """Half the sum of the axes' cross products: sin(angle) times the axis of the rotation left."""
-    return 0.5 * xp.cross(current, target, axis=-2).sum(-1)
+    a, b, c = (current[..., i, :] for i in range(3))
+    x, y, z = (target[..., i, :] for i in range(3))
+    # Written out: NumPy's `cross` takes as long as all the solving above.
+    return 0.5 * xp.stack([b * z - c * y, c * x - a * z, a * y - b * x], -2).sum(-1)
 
 
 def _apply(matrix: Array, vector: Array) -> Array:

@@ -1,12 +1,14 @@
 """Physics by MuJoCo's C library, a batch of worlds spread over threads."""
 
-import copy
+import itertools
+import logging
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import mujoco
 import numpy as np
+from mujoco.batch import Batch
 
 from jaxcam.rotations import matrix_from_rotvec
 from jaxcam.sim import controllers
@@ -14,18 +16,24 @@ from jaxcam.sim.controllers import ArmState
 from jaxcam.sim.engine import Command, ControllerName, Start, State
 from jaxcam.sim.scene import Scene
 
-_BAD = (
-    mujoco.mjtWarning.mjWARN_BADQPOS,
-    mujoco.mjtWarning.mjWARN_BADQVEL,
-    mujoco.mjtWarning.mjWARN_BADQACC,
-)
+_GROUP = 24
+"""Worlds that go through a control step together: few enough that their data stays in a core's
+cache, enough to share the controller's fixed cost."""
+_BAD = [
+    int(mujoco.mjtWarning.mjWARN_BADQPOS),
+    int(mujoco.mjtWarning.mjWARN_BADQVEL),
+    int(mujoco.mjtWarning.mjWARN_BADQACC),
+    int(mujoco.mjtWarning.mjWARN_BADCTRL),
+]
+_VELOCITY = mujoco.mjtStage.mjSTAGE_VEL.value
 
 
 class NativeEngine:
-    """Steps worlds with `mj_step1`, a controller batched over worlds, and `mj_step2`.
+    """Steps worlds with MuJoCo's `Batch`, and a controller batched over worlds between the steps.
 
-    Each thread owns a contiguous share of the batch and runs it through all substeps of a control
-    step; the C calls release the GIL. The controller runs at every substep, as robosuite's does.
+    Worlds are split into groups; a thread takes a group through all substeps of a control step. The
+    physics releases the GIL, so one group's controller runs beside another's physics. The
+    controller runs at every substep, as robosuite's does.
 
     Args:
         scene: whose physics model is stepped.
@@ -42,6 +50,9 @@ class NativeEngine:
         varied: Sequence[str] = (),
         threads: int | None = None,
     ) -> None:
+        if mujoco.get_mju_user_warning() is None:
+            # Else MuJoCo writes a file MUJOCO_LOG.TXT wherever one stands.
+            mujoco.set_mju_user_warning(logging.getLogger(__name__).warning)
         self.scene = scene
         self.controller: ControllerName = controller
         self.substeps = round(1 / controllers.CONTROL_HZ / scene.physics.opt.timestep)
@@ -49,15 +60,14 @@ class NativeEngine:
         self._pool = ThreadPoolExecutor(self._threads)
         self._varied = [scene.physics.geom(name).id for name in varied]
         self._limits = scene.physics.actuator_ctrlrange[scene.arm].T
-        self._worlds: list[_World] = []
+        self._groups: list[_Group] = []
+        self._places: list[slice] = []
 
     def reset(self, start: Start) -> State:
         """Puts a batch of worlds at their starts; see `Engine.reset`."""
         count, model = len(start.qpos), self.scene.physics
-        while len(self._worlds) < count:
-            self._worlds.append(_World(self.scene, own_model=bool(self._varied)))
-        for world, sizes in zip(self._worlds[:count], start.geom_size, strict=True):
-            world.resize(self._varied, sizes)
+        if not self._places or self._places[-1].stop != count:
+            self._split(count)
         state = State(
             qpos=np.array(start.qpos, float),
             qvel=np.zeros((count, model.nv)),
@@ -68,9 +78,12 @@ class NativeEngine:
             grip_rotation=np.empty((count, 3, 3)),
             ok=np.ones(count, bool),
         )
-        for i, world in enumerate(self._worlds[:count]):
-            world.load(state, i)
-            world.store(state, i)
+        for group, place in zip(self._groups, self._places, strict=True):
+            part = State(*(x[place] for x in state))
+            group.resize(self._varied, start.geom_size[place])
+            everyone = np.arange(len(part.ok))
+            group.load(everyone, part, afresh=True)
+            group.store(everyone, part)
         return state
 
     def step(self, state: State, command: Command, active: np.ndarray | None = None) -> State:
@@ -81,136 +94,178 @@ class NativeEngine:
         closed = controllers.gripper_command(state.closed, gripper)
         new.closed[run] = closed[run]
         target = np.asarray(command.target, float)
-        shares = np.array_split(np.flatnonzero(run), self._threads)
         work = [
-            self._pool.submit(self._advance, share, new, target[share])
-            for share in shares
-            if len(share)
+            self._pool.submit(
+                self._advance,
+                group,
+                State(*(x[place] for x in new)),
+                target[place],
+                np.flatnonzero(run[place]),
+            )
+            for group, place in zip(self._groups, self._places, strict=True)
+            if run[place].any()
         ]
-        for share in work:
-            share.result()
+        for done in work:
+            done.result()
         return new
 
-    def _advance(self, share: np.ndarray, state: State, target: np.ndarray) -> None:
-        """Runs the worlds `share` through one control step, in place."""
-        worlds = [self._worlds[i] for i in share]
-        arm, n = self.scene.arm, len(worlds)
-        for world, i in zip(worlds, share, strict=True):
-            world.load(state, i)
-            world.data.ctrl[self.scene.fingers] = controllers.finger_targets(state.closed[i])
-        read = _ArmBuffers(n, self.scene.physics.nv)
-        rest = state.rest[share]
-        rotation = matrix_from_rotvec(target[:, 3:]) if self.controller == "osc_pose" else None
+    def _split(self, count: int) -> None:
+        """Makes groups for `count` worlds, as many for each thread."""
+        each = -(-count // (self._threads * _GROUP))
+        edges = np.linspace(0, count, min(count, each * self._threads) + 1).astype(int).tolist()
+        self._places = [slice(*ends) for ends in itertools.pairwise(edges)]
+        self._groups = [_Group(self.scene, place.stop - place.start) for place in self._places]
+
+    def _advance(self, group: "_Group", state: State, target: np.ndarray, rows: np.ndarray) -> None:
+        """Runs `rows` of a group through one control step, in place."""
+        group.load(rows, state, afresh=False)
+        goal = self._goal(target[rows], state.rest[rows])
+        alive = rows
         for _ in range(self.substeps):
-            for k, world in enumerate(worlds):
-                mujoco.mj_step1(world.model, world.data)
-                world.read(read, k)
-            now = read.arm_state(arm)
             try:
-                torque = self._torque(now, target, rotation, rest)
+                torque = self._torque(group.read(alive), *goal)
             except np.linalg.LinAlgError:
                 # MuJoCo puts a world that diverges to its zero pose, where the arm is singular.
-                for k in np.flatnonzero([w.has_diverged() for w in worlds]).tolist():
-                    read.stand_in(k)
-                torque = self._torque(now, target, rotation, rest)
-            torque = np.clip(torque, *self._limits)
-            for k, world in enumerate(worlds):
-                world.arm_ctrl[:] = torque[k]
-                mujoco.mj_step2(world.model, world.data)
-        for world, i in zip(worlds, share, strict=True):
-            world.store(state, i)
+                sound = ~group.diverged(alive)
+                if sound.all():
+                    raise
+                alive, goal = alive[sound], tuple(x[sound] for x in goal)
+                torque = self._torque(group.read(alive), *goal)
+            group.step(alive, np.clip(torque, *self._limits))
+        group.store(rows, state)
 
-    @staticmethod
-    def _torque(
-        now: ArmState, target: np.ndarray, rotation: np.ndarray | None, rest: np.ndarray
-    ) -> np.ndarray:
-        if rotation is None:
-            return controllers.joint_position(now, target)
-        return controllers.osc_pose(now, target[:, :3], rotation, rest)
+    def _goal(self, target: np.ndarray, rest: np.ndarray) -> tuple[np.ndarray, ...]:
+        """What the controller is asked for, as the arguments behind the arm's state."""
+        if self.controller == "joint_position":
+            return (target,)
+        return target[:, :3], matrix_from_rotvec(target[:, 3:]), rest
+
+    def _torque(self, arm: ArmState, *goal: np.ndarray) -> np.ndarray:
+        if self.controller == "joint_position":
+            return controllers.joint_position(arm, *goal)
+        return controllers.osc_pose(arm, *goal)
 
 
-class _World:
-    """One MjData, with its own model where sizes vary; arrays are views made once."""
+class _Group:
+    """Worlds that step together, between calls always computed up to the velocity stage."""
 
-    def __init__(self, scene: Scene, *, own_model: bool) -> None:
-        self.model = copy.copy(scene.physics) if own_model else scene.physics
-        self.data = mujoco.MjData(self.model)
-        self._scene_model = scene.physics
-        self._site = scene.grip_site
-        self._size: np.ndarray | None = None
-        data = self.data
-        first, last = int(scene.arm[0]), int(scene.arm[-1]) + 1
-        self.arm_ctrl = data.ctrl[first:last]
-        self._q, self._qd = data.qpos[first:last], data.qvel[first:last]
-        self._bias = data.qfrc_bias[first:last]
-        self._position = data.site_xpos[self._site]
-        self._rotation = data.site_xmat[self._site].reshape(3, 3)
+    def __init__(self, scene: Scene, count: int) -> None:
+        model = self._model = scene.physics
+        self._batch = batch = Batch(model, count, nthread=1, persistent=True)
+        self._arm = slice(int(scene.arm[0]), int(scene.arm[-1]) + 1)
+        self._fingers = scene.fingers
+        self._mass_at = _full_from_sparse(model)[self._arm, self._arm]
+        self._sizes: np.ndarray | None = None
+        # Live arrays, a row per world. What is computed is bound before the first computation.
+        self._state = (batch.qpos, batch.qvel, batch.qacc_warmstart)
+        self._ctrl = batch.ctrl
+        self._bias, self._mass = batch.qfrc_bias[:, self._arm], batch.M
+        self._position = batch.site_xpos[:, scene.grip_site]
+        self._rotation = batch.site_xmat[:, scene.grip_site].reshape(count, 3, 3)
+        self._motion = batch.cdof[:, self._arm]
+        self._origin = batch.subtree_com[:, model.body_rootid[model.site_bodyid[scene.grip_site]]]
 
     def resize(self, geoms: Sequence[int], sizes: np.ndarray) -> None:
         """Gives boxes new half-sizes, and their bodies the mass and inertia that follow."""
-        if self._size is not None and np.array_equal(self._size, sizes):
+        if self._sizes is not None and np.array_equal(self._sizes, sizes):
             return
-        self._size = np.array(sizes, float)
-        for geom, half in zip(geoms, self._size, strict=True):
-            body = self.model.geom_bodyid[geom]
+        self._sizes = np.array(sizes, float)
+        drawn, batch = self._model, self._batch
+        for i, geom in enumerate(geoms):
+            body, half = drawn.geom_bodyid[geom], self._sizes[:, i]
             # Of the scene's model, not the last size's: a world's past must leave no rounding.
-            drawn = self._scene_model
             density = drawn.body_mass[body] / (8 * drawn.geom_size[geom].prod())
-            self.model.geom_size[geom] = half
-            self.model.geom_rbound[geom] = np.linalg.norm(half)
-            self.model.geom_aabb[geom, 3:] = half
-            mass = 8 * half.prod() * density
-            self.model.body_mass[body] = mass
-            self.model.body_inertia[body] = mass / 3 * ((half**2).sum() - half**2)
-        mujoco.mj_setConst(self.model, self.data)
+            mass = 8 * half.prod(-1) * density
+            squared = half**2
+            inertia = mass[:, None] / 3 * (squared.sum(-1, keepdims=True) - squared)
+            batch.expand("geom_size")[:, geom] = half
+            batch.expand("geom_rbound")[:, geom] = np.linalg.norm(half, axis=-1)
+            batch.expand("geom_aabb")[:, geom, 3:] = half
+            batch.expand("body_mass")[:, body] = mass
+            batch.expand("body_inertia")[:, body] = inertia
+        if geoms:
+            batch.set_const()
 
-    def load(self, state: State, i: int) -> None:
-        mujoco.mj_resetData(self.model, self.data)
-        self.data.qpos[:] = state.qpos[i]
-        self.data.qvel[:] = state.qvel[i]
-        self.data.qacc_warmstart[:] = state.warmstart[i]
+    def load(self, rows: np.ndarray, state: State, *, afresh: bool) -> None:
+        """Puts worlds at a state and their fingers' servos at their targets.
 
-    def has_diverged(self) -> bool:
-        return any(self.data.warning[w].number for w in _BAD)
+        Worlds that are there already are left as they are, unless everything is to be computed
+        `afresh`, which gives the same.
+        """
+        wanted = (state.qpos[rows], state.qvel[rows], state.warmstart[rows])
+        moved = np.full(len(rows), afresh)
+        for have, want in zip(self._state, wanted, strict=True):
+            moved |= (have[rows] != want).any(-1)
+            have[rows] = want
+        self._batch.warning[rows] = 0
+        self._ctrl[rows] = 0
+        self._ctrl[rows[:, None], self._fingers] = controllers.finger_targets(state.closed[rows])
+        if moved.any():
+            self._batch.forward(rows[moved], stage=_VELOCITY)
 
-    def store(self, state: State, i: int) -> None:
-        data = self.data
-        state.ok[i] = not self.has_diverged() and bool(np.isfinite(data.qpos).all())
-        state.qpos[i], state.qvel[i] = data.qpos, data.qvel
-        state.warmstart[i] = data.qacc_warmstart
-        mujoco.mj_kinematics(self.model, data)
-        state.grip_position[i], state.grip_rotation[i] = self._position, self._rotation
-
-    def read(self, out: "_ArmBuffers", k: int) -> None:
-        out.q[k], out.qd[k], out.bias[k] = self._q, self._qd, self._bias
-        out.position[k], out.rotation[k] = self._position, self._rotation
-        mujoco.mj_jacSite(self.model, self.data, out.jacp[k], out.jacr[k], self._site)
-        mujoco.mj_fullM(self.model, self.data, out.mass[k])
-
-
-class _ArmBuffers:
-    """Where worlds write what the controller reads, so that it is batched without copies."""
-
-    def __init__(self, n: int, nv: int) -> None:
-        self.q, self.qd, self.bias = np.empty((n, 7)), np.empty((n, 7)), np.empty((n, 7))
-        self.position, self.rotation = np.empty((n, 3)), np.empty((n, 3, 3))
-        self.jacobian = np.empty((n, 6, nv))
-        self.jacp, self.jacr = self.jacobian[:, :3], self.jacobian[:, 3:]
-        self.mass = np.empty((n, nv, nv))
-
-    def stand_in(self, k: int) -> None:
-        """Makes row `k` one that any controller can solve; its world is lost."""
-        self.mass[k] = np.eye(self.mass.shape[-1])
-        self.jacobian[k] = np.eye(*self.jacobian.shape[-2:])
-
-    def arm_state(self, arm: np.ndarray) -> ArmState:
-        first, last = int(arm[0]), int(arm[-1]) + 1
+    def read(self, rows: np.ndarray) -> ArmState:
+        """What the controller needs of worlds, at the current substep."""
+        pick = self._pick(rows)
+        qpos, qvel, _ = self._state
+        position = self._position[pick]
         return ArmState(
-            q=self.q,
-            qd=self.qd,
-            position=self.position,
-            rotation=self.rotation,
-            jacobian=self.jacobian[:, :, first:last],
-            mass=self.mass[:, first:last, first:last],
-            bias=self.bias,
+            q=qpos[pick, self._arm],
+            qd=qvel[pick, self._arm],
+            position=position,
+            rotation=self._rotation[pick],
+            jacobian=_jacobian(self._motion[pick], position - self._origin[pick]),
+            mass=self._mass[pick].take(self._mass_at, axis=1),
+            bias=self._bias[pick],
         )
+
+    def step(self, rows: np.ndarray, torque: np.ndarray) -> None:
+        """Advances worlds one substep."""
+        pick = self._pick(rows)
+        self._ctrl[pick, self._arm] = torque
+        self._batch.step(None if isinstance(pick, slice) else pick, stage=_VELOCITY)
+
+    def diverged(self, rows: np.ndarray) -> np.ndarray:
+        """Which worlds MuJoCo has warned of since they were loaded."""
+        return self._batch.warning[rows][:, _BAD, 1].any(-1)
+
+    def store(self, rows: np.ndarray, state: State) -> None:
+        """Writes where worlds are into a state."""
+        for have, out in zip(self._state, (state.qpos, state.qvel, state.warmstart), strict=True):
+            out[rows] = have[rows]
+        state.grip_position[rows] = self._position[rows]
+        state.grip_rotation[rows] = self._rotation[rows]
+        state.ok[rows] = ~self.diverged(rows) & np.isfinite(state.qpos[rows]).all(-1)
+
+    def _pick(self, rows: np.ndarray) -> np.ndarray | slice:
+        """Index of worlds: all of them need no copy."""
+        return slice(None) if len(rows) == len(self._ctrl) else rows
+
+
+def _full_from_sparse(model: mujoco.MjModel) -> np.ndarray:
+    """Where the entries of the full inertia matrix [nv, nv] are in MjData's `M`.
+
+    Zeros of the matrix point anywhere: all joints of an arm move each other.
+    """
+    where = np.zeros((model.nv, model.nv), int)
+    for i, (first, count) in enumerate(zip(model.M_rowadr, model.M_rownnz, strict=True)):
+        address = np.arange(first, first + count)
+        where[i, model.M_colind[address]] = where[model.M_colind[address], i] = address
+    return where
+
+
+def _jacobian(motion: np.ndarray, lever: np.ndarray) -> np.ndarray:
+    """Jacobian [n, 6, 7] of a point, translation above rotation.
+
+    Args:
+        motion: the joints' motions [n, 7, 6], rotation before translation, about an origin.
+        lever: the point from that origin (m) [n, 3].
+    """
+    axis, slide = motion[..., :3].swapaxes(1, 2), motion[..., 3:].swapaxes(1, 2)
+    x, y, z = lever[:, :1], lever[:, 1:2], lever[:, 2:]
+    jacobian = np.empty((len(motion), 6, motion.shape[1]))
+    jacobian[:, 0] = axis[:, 1] * z - axis[:, 2] * y
+    jacobian[:, 1] = axis[:, 2] * x - axis[:, 0] * z
+    jacobian[:, 2] = axis[:, 0] * y - axis[:, 1] * x
+    jacobian[:, :3] += slide
+    jacobian[:, 3:] = axis
+    return jacobian
