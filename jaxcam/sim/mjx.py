@@ -1,0 +1,367 @@
+"""Physics by MJX: a batch of worlds advances in one compiled program, on a GPU or on the CPU.
+
+`impl="warp"` runs MuJoCo Warp's kernels and takes every kind of geom; `impl="jax"` is pure XLA, so
+it also runs where Warp does not (TPU), but it refuses some pairs of geoms. Both compute in float32.
+"""
+
+import copy
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from mujoco import mjx
+from mujoco.mjx._src import collision_driver
+
+import jaxcam.sim.render  # noqa: F401  (starts Warp without its greeting)
+from jaxcam.errors import ConfigError, SimError
+from jaxcam.rotations import Array, matrix_from_rotvec
+from jaxcam.sim import controllers
+from jaxcam.sim.controllers import ArmState
+from jaxcam.sim.engine import Command, ControllerName, Start, State
+from jaxcam.sim.scene import Scene
+
+Impl = Literal["jax", "warp"]
+Bodies = dict[str, jax.Array]
+"""Fields of the model that differ between worlds [B, ...]."""
+
+_OVERFLOWS = {
+    1 << 0: "rows",  # more constraint rows in a world than njmax
+    1 << 1: "rows",  # njmax_nnz, which follows from njmax
+    1 << 2: "contacts",  # more pairs near each other than naconmax
+    1 << 3: "contacts",  # more contacts than naconmax
+    1 << 4: "contacts",  # naccdmax, which follows from naconmax
+}
+"""Bits of MuJoCo Warp's `overflow` that mean lost contacts, and the argument to raise. The others
+tell of what this project does not use, or of a solver that stopped at its limit of iterations,
+which MuJoCo's C library does in silence too."""
+
+_CPU_OPTIONS = {"xla_cpu_use_fusion_emitters": False}
+"""XLA's fusion emitters take six times as long over MJX-JAX's long chains of small operations."""
+
+
+class MjxEngine:
+    """Steps worlds with MJX, the controller in the same program; see `Engine`.
+
+    Nothing here leaves the device. A world's step depends on its `State` alone: contacts and other
+    scratch are made anew in every physics step.
+
+    Args:
+        scene: whose physics model is stepped.
+        controller: `osc_pose` or `joint_position`.
+        varied: geoms whose sizes differ between episodes (`Start.geom_size`); each must be the only
+            geom with mass of its free body, which must be a box of uniform density.
+        impl: `warp` or `jax`.
+        contacts: room for contacts, per world on average over the batch (`warp`).
+        rows: room for constraint rows in each world, three for most contacts (`warp`).
+
+    Raises:
+        ConfigError: if MJX-JAX cannot collide two of the scene's geoms.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        controller: ControllerName = "osc_pose",
+        varied: Sequence[str] = (),
+        impl: Impl = "warp",
+        *,
+        contacts: int = 32,
+        rows: int = 128,
+    ) -> None:
+        self.scene, self.impl = scene, impl
+        self.controller: ControllerName = controller
+        self.substeps = round(1 / controllers.CONTROL_HZ / scene.physics.opt.timestep)
+        self._room = {"contacts": contacts, "rows": rows}
+        self._varied = [scene.physics.geom(name).id for name in varied]
+        self._limits = scene.physics.actuator_ctrlrange[scene.arm].T.astype(np.float32)
+        model = _filtered(scene.physics)
+        if impl == "jax":
+            _check_pairs(model)
+        self._host_model = model
+        self._body = int(model.site_bodyid[scene.grip_site])
+        self._model = mjx.put_model(model, impl=impl)
+        if impl == "warp":  # overflows are read from the data; a print from a kernel is no error
+            self._model = self._model.tree_replace({"opt._impl.warn_overflow": 0})
+        self._bare = self._model if impl == "jax" else mjx.put_model(_bare(model), impl="warp")
+        self._mass_at = _full_from_sparse(model)[np.ix_(scene.arm, scene.arm)]
+        self._scratch = functools.cache(self._make_scratch)
+        self._overflow = 0
+        self._jit_begin = self.compile(
+            lambda start: (self._state(start), self._bodies(start.geom_size))
+        )
+        self._jit_advance = self.compile(self._advance)
+
+    def reset(self, start: Start) -> State:
+        """Puts a batch of worlds at their starts; see `Engine.reset`."""
+        state, self._now = self._jit_begin(start)
+        return state
+
+    def step(self, state: State, command: Command, active: Array | None = None) -> State:
+        """Advances the worlds one control step; see `Engine.step`.
+
+        Raises:
+            SimError: if contacts were lost for want of room.
+        """
+        run = jnp.ones(len(state.ok), bool) if active is None else active
+        state = jax.block_until_ready(self._jit_advance(self._now, state, command, run))
+        self.check_room()
+        return state
+
+    def compile(self, function: Callable[..., Any]) -> Any:
+        """`jax.jit` with what makes MJX's programs compile in seconds rather than minutes."""
+        on_cpu = jax.default_backend() == "cpu"
+        return jax.jit(function, compiler_options=_CPU_OPTIONS if on_cpu else None)
+
+    def begin(self, start: Start) -> tuple[State, Callable[[State, Command, Array], State]]:
+        """`reset` and `step` as pure functions, for use inside a compiled program."""
+        return self._state(start), functools.partial(self._advance, self._bodies(start.geom_size))
+
+    def check_room(self) -> None:
+        """Raises an error if contacts were lost for want of room since the last call.
+
+        Raises:
+            SimError: which names the limit to raise.
+        """
+        jax.effects_barrier()
+        bits, self._overflow = self._overflow, 0
+        for name in sorted({name for bit, name in _OVERFLOWS.items() if bits & bit}):
+            raise SimError(
+                f"MJX-Warp had room for {self._room[name]} {name} a world, the scene "
+                f"{self.scene.name!r} needed more, and contacts were lost. Raise `{name}` of "
+                "MjxEngine."
+            )
+
+    def _state(self, start: Start) -> State:
+        qpos = jnp.asarray(start.qpos, jnp.float32)
+        count, still = len(qpos), jnp.zeros((len(qpos), self.scene.physics.nv))
+        position, rotation = self._grip(qpos)
+        return State(
+            qpos=qpos,
+            qvel=still,
+            warmstart=still,
+            closed=jnp.zeros(count),
+            rest=qpos[:, self.scene.arm],
+            grip_position=position,
+            grip_rotation=rotation,
+            ok=jnp.ones(count, bool),
+        )
+
+    def _bodies(self, sizes: Array) -> Bodies:
+        """Fields of the model that follow from boxes' half-sizes [B, v, 3].
+
+        As MuJoCo's compiler and `mj_setConst` derive them for a free body.
+        """
+        host, count = self._host_model, len(sizes)
+        if not self._varied:
+            return {}
+        names = ("geom_size", "geom_rbound", "geom_aabb", "body_mass", "body_inertia")
+        names += ("body_subtreemass", "body_invweight0", "dof_invweight0")
+        field = {n: jnp.asarray(getattr(host, n), jnp.float32) for n in names}
+        field = {n: jnp.tile(x, (count, *[1] * x.ndim)) for n, x in field.items()}
+
+        def put(name: str, where: Any, value: jax.Array) -> None:
+            field[name] = field[name].at[:, *where].set(value)
+
+        for i, geom in enumerate(self._varied):
+            half, body = jnp.asarray(sizes, jnp.float32)[:, i], int(host.geom_bodyid[geom])
+            dof = int(host.body_dofadr[body])
+            density = host.body_mass[body] / (8 * host.geom_size[geom].prod())
+            mass = 8 * half.prod(-1) * density
+            inertia = mass[:, None] / 3 * ((half**2).sum(-1, keepdims=True) - half**2)
+            slow, spin = 1 / mass, (1 / inertia).mean(-1)
+            put("geom_size", (geom,), half)
+            put("geom_rbound", (geom,), jnp.linalg.norm(half, axis=-1))
+            put("geom_aabb", (geom, slice(3, 6)), half)
+            put("body_mass", (body,), mass)
+            put("body_subtreemass", (body,), mass)
+            put("body_inertia", (body,), inertia)
+            put("body_invweight0", (body,), jnp.stack([slow, spin], -1))
+            put("dof_invweight0", (slice(dof, dof + 3),), slow[:, None])
+            put("dof_invweight0", (slice(dof + 3, dof + 6),), spin[:, None])
+        return {n: x.reshape(count, *getattr(self._model, n).shape) for n, x in field.items()}
+
+    def _advance(self, bodies: Bodies, state: State, command: Command, active: Array) -> State:
+        """One control step of every world; those that do not run stay as they are."""
+        run = state.ok & active
+        closed = controllers.gripper_command(state.closed, jnp.asarray(command.gripper))
+        target = jnp.asarray(command.target, jnp.float32)
+        fingers = controllers.finger_targets(closed)
+
+        scratch = self._scratch(len(target))
+
+        def substep(_: int, now: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+            *moving, overflow = now
+            arm, data = jax.vmap(functools.partial(self._sense, scratch))(bodies, *moving)
+            torque = jnp.clip(self._torque(arm, target, state.rest), *self._limits)
+            ctrl = jnp.zeros((len(target), self.scene.physics.nu))
+            ctrl = ctrl.at[:, self.scene.arm].set(torque).at[:, self.scene.fingers].set(fingers)
+            integrate = functools.partial(self._integrate, scratch)
+            *moving, bits = jax.vmap(integrate)(bodies, data, *moving, ctrl)
+            return *moving, overflow | bits
+
+        # On CUDA, matrix products are of lower precision unless asked otherwise.
+        with jax.default_matmul_precision("highest"):
+            nothing = jnp.zeros(len(target), jnp.int32)
+            start = (state.qpos, state.qvel, state.warmstart, nothing)
+            qpos, qvel, warmstart, overflow = jax.lax.fori_loop(0, self.substeps, substep, start)
+            sound = (abs(qpos) < mujoco.mjMAXVAL).all(-1) & (abs(qvel) < mujoco.mjMAXVAL).all(-1)
+            moved = run & sound
+
+            def pick(new: jax.Array, old: Array) -> jax.Array:
+                return jnp.where(moved.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+
+            qpos = pick(qpos, state.qpos)
+            position, rotation = self._grip(qpos)
+        self._report(jnp.where(run, overflow, 0))
+        return State(
+            qpos=qpos,
+            qvel=pick(qvel, state.qvel),
+            warmstart=pick(warmstart, state.warmstart),
+            closed=pick(closed, state.closed),
+            rest=state.rest,
+            grip_position=position,
+            grip_rotation=rotation,
+            ok=state.ok & (sound | ~run),
+        )
+
+    def _torque(self, arm: ArmState, target: jax.Array, rest: Array) -> jax.Array:
+        if self.controller == "joint_position":
+            return controllers.joint_position(arm, target)
+        return controllers.osc_pose(arm, target[:, :3], matrix_from_rotvec(target[:, 3:]), rest)
+
+    def _sense(
+        self, scratch: "_Scratch", bodies: Bodies, qpos: jax.Array, qvel: jax.Array, warm: jax.Array
+    ) -> tuple[ArmState, mjx.Data | None]:
+        """What the controller reads of one world; with MJX-JAX, also the physics step begun."""
+        begun = None
+        if self.impl == "jax":
+            model = self._model.tree_replace(bodies)
+            data = scratch.full.replace(qpos=qpos, qvel=qvel, qacc_warmstart=warm)
+            data = begun = mjx.fwd_velocity(model, mjx.fwd_position(model, data))
+            mass = data._impl.M[np.ix_(self.scene.arm, self.scene.arm)]
+        else:
+            # MuJoCo Warp has no half step in MJX: what comes before the contacts is computed twice.
+            data = mjx.forward(self._bare, scratch.bare.replace(qpos=qpos, qvel=qvel))
+            mass = data._impl.M[self._mass_at]
+        arm, site = self.scene.arm, self.scene.grip_site
+        origin = data.subtree_com[self._host_model.body_rootid[self._body]]
+        spin, slide = jnp.split(data.cdof[arm], 2, -1)
+        slide = slide + jnp.cross(spin, data.site_xpos[site] - origin)
+        state = ArmState(
+            q=qpos[arm],
+            qd=qvel[arm],
+            position=data.site_xpos[site],
+            rotation=data.site_xmat[site],
+            jacobian=jnp.concatenate([slide, spin], -1).T,
+            mass=mass,
+            bias=data.qfrc_bias[arm],
+        )
+        return state, begun
+
+    def _integrate(
+        self,
+        scratch: "_Scratch",
+        bodies: Bodies,
+        begun: mjx.Data | None,
+        qpos: jax.Array,
+        qvel: jax.Array,
+        warmstart: jax.Array,
+        ctrl: jax.Array,
+    ) -> tuple[jax.Array, ...]:
+        """One physics step of one world: position, velocity, warm start, bits of overflow."""
+        model = self._model.tree_replace(bodies)
+        if begun is not None:
+            data = mjx.fwd_acceleration(model, mjx.fwd_actuation(model, begun.replace(ctrl=ctrl)))
+            data = mjx.euler(model, mjx.solve(model, data))
+            return data.qpos, data.qvel, data.qacc_warmstart, jnp.int32(0)
+        data = scratch.full.replace(qpos=qpos, qvel=qvel, qacc_warmstart=warmstart, ctrl=ctrl)
+        data = mjx.step(model, data)
+        return data.qpos, data.qvel, data.qacc_warmstart, data._impl.overflow
+
+    def _make_scratch(self, count: int) -> "_Scratch":
+        with jax.ensure_compile_time_eval():
+            if self.impl == "jax":
+                data = mjx.make_data(self._host_model, impl="jax")
+                return _Scratch(data, data)
+            room = {"naconmax": self._room["contacts"] * count, "njmax": self._room["rows"]}
+            full = mjx.make_data(self._host_model, impl="warp", **room)
+            return _Scratch(full, mjx.make_data(self._host_model, impl="warp", naconmax=1, njmax=1))
+
+    def _report(self, overflow: jax.Array) -> None:
+        """Tells the host of lost contacts, for `check_room`."""
+        bits = jax.lax.reduce(overflow & sum(_OVERFLOWS), 0, jax.lax.bitwise_or, (0,))
+        told = functools.partial(jax.debug.callback, self._remember)
+        jax.lax.cond(bits != 0, told, lambda _: None, bits)
+
+    def _remember(self, bits: np.ndarray) -> None:
+        self._overflow |= int(bits)
+
+    def _grip(self, qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Grip sites' positions [B, 3] and axes [B, 3, 3]."""
+        bare, site = self._scratch(len(qpos)).bare, self.scene.grip_site
+
+        def one(qpos: jax.Array) -> tuple[jax.Array, jax.Array]:
+            data = mjx.kinematics(self._bare, bare.replace(qpos=qpos))
+            return data.site_xpos[site], data.site_xmat[site]
+
+        return jax.vmap(one)(qpos)
+
+
+class _Scratch(NamedTuple):
+    """Data that every physics step of a batch starts from."""
+
+    full: mjx.Data
+    bare: mjx.Data
+    """With no room for contacts."""
+
+
+def _filtered(model: mujoco.MjModel) -> mujoco.MjModel:
+    """A copy of the model in which the floor meets nothing but free bodies.
+
+    The gripper cannot reach the floor, and every pair of geoms costs MJX time whether they touch or
+    not: MJX-JAX computes all of them, always.
+    """
+    model = copy.copy(model)
+    free = model.body_dofnum[model.body_rootid] == 6
+    planes = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
+    lowest = 1 << 16  # a bit of contype and conaffinity that robosuite leaves alone
+    model.geom_contype[planes], model.geom_conaffinity[planes] = lowest, 0
+    model.geom_conaffinity[free[model.geom_bodyid]] |= lowest
+    return model
+
+
+def _check_pairs(model: mujoco.MjModel) -> None:
+    """Refuses pairs of geoms that MJX-JAX cannot collide, all at once and by name."""
+    bad = [
+        (model.geom(a).name, model.geom(b).name)
+        for a, b, _ in collision_driver.geom_pairs(model)
+        if not collision_driver.has_collision_fn(model.geom_type[a], model.geom_type[b])
+    ]
+    if bad:
+        pairs = ", ".join(f"{a} with {b}" for a, b in bad)
+        raise ConfigError(
+            f"Engine mjx-jax cannot collide {pairs}. Engines that can: mjx-warp, native."
+        )
+
+
+def _bare(model: mujoco.MjModel) -> mujoco.MjModel:
+    """A copy of the model without contacts and constraints."""
+    model = copy.copy(model)
+    model.geom_contype[:] = model.geom_conaffinity[:] = 0
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    return model
+
+
+def _full_from_sparse(model: mujoco.MjModel) -> np.ndarray:
+    """Where the entries of the full inertia matrix [nv, nv] are in the sparse one.
+
+    Zeros of the matrix point anywhere: all joints of an arm move each other.
+    """
+    data, full = mujoco.MjData(model), np.empty((model.nv, model.nv))
+    data.M[:] = np.arange(len(data.M))
+    mujoco.mj_fullM(model, data, full)
+    return full.astype(int)
