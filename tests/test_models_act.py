@@ -22,7 +22,8 @@ from policy_inputs import (
 )
 
 from jaxcam.errors import ConfigError
-from jaxcam.models import ACT_PRESETS, PolicySpec, make_policy, with_conditioning
+from jaxcam.models import ACT_PRESETS, PolicySpec, make_policy
+from jaxcam.models.fusion import with_conditioning
 from jaxcam.models.transformer import sine_table
 
 

@@ -1,6 +1,6 @@
 """ACT: action chunks from tokens of images and cameras, optionally with a variational latent."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import jax
@@ -9,9 +9,20 @@ import numpy as np
 from flax import nnx
 
 from jaxcam.errors import ConfigError, closest
-from jaxcam.models.fusion import Vision, VisionConfig, camera_poses
+from jaxcam.models.fusion import Vision, VisionConfig, camera_poses, with_conditioning
 from jaxcam.models.layers import dropout, linear, split_key
-from jaxcam.models.policy import Key, Obs, PolicySpec
+from jaxcam.models.policy import (
+    Batch,
+    Family,
+    Key,
+    Obs,
+    Params,
+    Policy,
+    PolicySpec,
+    Stats,
+    check_sizes,
+    pure,
+)
 from jaxcam.models.transformer import Decoder, Encoder, sine_table
 
 
@@ -87,16 +98,6 @@ ACT_PRESETS: dict[str, ActConfig] = {
         dropout=0.0,
     ),
 }
-
-
-def with_conditioning(config: ActConfig, conditioning: str) -> ActConfig:
-    """The same policy, conditioned in another way.
-
-    ``none`` gives the image-only twin of the conditioning that `config` has.
-    """
-    if conditioning == "none":
-        return replace(config, conditioning="none", twin_of=config.network)
-    return replace(config, conditioning=conditioning, twin_of=conditioning)
 
 
 class LatentEncoder(nnx.Module):
@@ -296,3 +297,40 @@ def proprio_scale(std: np.ndarray) -> np.ndarray:
     """
     std = np.asarray(std, np.float32)
     return np.where(std < 1e-3, 1.0, std).astype(np.float32)
+
+
+def make_act(config: ActConfig, spec: PolicySpec, stats: Stats) -> Policy:
+    """Make ACT's three functions; statistics become constants of them."""
+    check_sizes(config.chunk, spec, stats)
+    action_mean = np.asarray(stats["action_mean"], np.float32)
+    action_std = action_scale(stats["action_std"])
+    proprio_mean = np.asarray(stats["proprio_mean"], np.float32)
+    proprio_std = proprio_scale(stats["proprio_std"])
+    init, network = pure(lambda rngs: Act(config, spec, rngs=rngs))
+
+    def proprio(obs: Obs) -> jax.Array:
+        raw = jnp.zeros_like(obs["proprio"]) if config.drop_proprio else obs["proprio"]
+        return (raw - proprio_mean) / proprio_std
+
+    def loss(params: Params, batch: Batch, key: Key) -> tuple[jax.Array, dict[str, jax.Array]]:
+        target = (batch["action"] - action_mean) / action_std
+        is_pad = batch["is_pad"]
+        predicted, kl = network(params)(batch, proprio(batch), target, is_pad, key=key)
+        l1 = l1_loss(predicted[..., : spec.action_dim], target, is_pad)
+        total = l1 + config.kl_weight * kl
+        metrics = {"l1": l1, "kl": kl}
+        if config.keyframe_weight:
+            keyframe = (batch["keyframe"] - stats["keyframe_mean"]) / stats["keyframe_std"]
+            metrics["keyframe"] = l1_loss(predicted[..., spec.action_dim :], keyframe, is_pad)
+            total += config.keyframe_weight * metrics["keyframe"]
+        return total, {"loss": total, **metrics}
+
+    def act(params: Params, obs: Obs, key: Key) -> jax.Array:
+        del key  # ACT acts with its latent at zero: nothing is drawn.
+        predicted = network(params)(obs, proprio(obs))[0][..., : spec.action_dim]
+        return predicted * action_std + action_mean
+
+    return Policy(init, loss, act, config, spec, min(config.execute or spec.chunk, spec.chunk))
+
+
+FAMILY = Family(ActConfig, ACT_PRESETS, make_act, with_conditioning)

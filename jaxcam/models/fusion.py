@@ -12,8 +12,8 @@ those. The ways:
   ``twin_of="none"`` there is no ray path at all.
 """
 
-from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -109,6 +109,18 @@ class VisionConfig:
     def dtype(self) -> DTypeLike:
         """Type the networks compute in."""
         return jnp.dtype(self.compute_dtype)
+
+
+C = TypeVar("C", bound=VisionConfig)
+
+
+def with_conditioning(config: C, conditioning: str) -> C:
+    """The same policy, conditioned in another way.
+
+    ``none`` gives the image-only twin of the conditioning that `config` has.
+    """
+    twin_of = config.network if conditioning == "none" else conditioning
+    return replace(config, conditioning=conditioning, twin_of=twin_of)
 
 
 def camera_poses(config: VisionConfig, obs: Obs) -> jax.Array:

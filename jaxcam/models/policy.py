@@ -2,9 +2,16 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, Generic, TypeAlias, TypeVar
 
 import jax
+import numpy as np
+from flax import nnx
+
+from jaxcam.errors import ConfigError
+
+C = TypeVar("C")
+M = TypeVar("M", bound=nnx.Module)
 
 Params: TypeAlias = dict[str, Any]
 """Nested dict of float32 arrays; the keys mirror the attribute paths of the module."""
@@ -16,6 +23,10 @@ Obs: TypeAlias = Mapping[str, jax.Array]
 Batch: TypeAlias = Mapping[str, jax.Array]
 """An observation with ``action`` float32 [B, T, A] in raw units, ``keyframe`` float32 [B, T, 3]
 (base frame, metres) and ``is_pad`` bool [B, T]."""
+
+Stats: TypeAlias = Mapping[str, np.ndarray]
+"""``action``, ``proprio`` and ``keyframe`` with ``_mean``, ``_std``, ``_min`` and ``_max`` each, of
+the training data, in raw units."""
 
 Key: TypeAlias = jax.Array | None
 """A JAX random key; ``None`` switches every random part (dropout, latent noise) off."""
@@ -52,3 +63,72 @@ class Policy:
     config: Any
     spec: PolicySpec
     execute: int
+
+
+@dataclass(frozen=True)
+class Family(Generic[C]):
+    """One kind of policy: all that training, evaluation and checkpoints know of it.
+
+    Attributes:
+        config: Class of its settings, a frozen dataclass with ``chunk``, ``conditioning`` and
+            ``compute_dtype``.
+        presets: Its settings by the preset's name.
+        make: Makes the policy from settings, sizes and statistics.
+        conditioned: ``conditioned(config, conditioning)`` is the same policy, told of its cameras
+            in another way.
+    """
+
+    config: type[C]
+    presets: Mapping[str, C]
+    make: Callable[[C, PolicySpec, Stats], Policy]
+    conditioned: Callable[[C, str], C]
+
+
+def pure(
+    build: Callable[[nnx.Rngs], M],
+) -> tuple[Callable[[jax.Array], Params], Callable[[Params], M]]:
+    """A module as pure functions.
+
+    Args:
+        build: Makes the module.
+
+    Returns:
+        ``init(key)``, which draws parameters as nested dicts with string keys, and
+        ``network(params)``, which puts them back into the module.
+    """
+    graphdef, _ = nnx.split(nnx.eval_shape(lambda: build(nnx.Rngs(0))))
+
+    def init(key: jax.Array) -> Params:
+        return _string_keys(nnx.to_pure_dict(nnx.split(build(nnx.Rngs(key)))[1]))
+
+    def network(params: Params) -> M:
+        return nnx.merge(graphdef, nnx.restore_int_paths(params))
+
+    return init, network
+
+
+def _string_keys(tree: Any) -> Any:
+    """Layer numbers as strings, so that parameters look the same in memory and in checkpoints."""
+    if isinstance(tree, dict):
+        return {str(name): _string_keys(value) for name, value in tree.items()}
+    return tree
+
+
+def check_sizes(chunk: int, spec: PolicySpec, stats: Stats) -> None:
+    """Refuse a policy whose settings, sizes and statistics do not go together.
+
+    Args:
+        chunk: Actions that the policy predicts at a time.
+        spec: Sizes of observations and actions.
+        stats: Statistics of the training data.
+    """
+    if chunk != spec.chunk:
+        raise ConfigError(
+            f"The policy predicts {chunk} actions but the data has chunks of {spec.chunk}."
+        )
+    for name, expected in (("action", spec.action_dim), ("proprio", spec.proprio_dim)):
+        shape = np.shape(stats[f"{name}_mean"])
+        if shape != (expected,):
+            raise ConfigError(
+                f"Statistics of {name} have shape {shape}; the policy expects ({expected},)."
+            )
