@@ -29,45 +29,86 @@ _BAR = 26
 _GAP = 4
 
 
-def write_video(path: str | Path, frames: np.ndarray, fps: float = 20, *, crf: int = 20) -> Path:
-    """Write an H.264 mp4 (yuv420p, BT.709, index first so that it plays while loading).
+class VideoFile:
+    """An H.264 mp4 that grows by frames (yuv420p, BT.709, index first so that it plays early).
 
     The file appears under its name only when it is complete. Odd sizes, which 4:2:0 video cannot
     have, are made even by repeating the last row or column.
 
     Args:
         path: Where the video goes; folders are made.
-        frames: uint8 [T, H, W, 3], RGB, at least one frame.
+        height: Of the frames.
+        width: Of the frames.
         fps: Frames a second.
         crf: Quality of libx264, 0 (lossless) to 51; 20 is hard to tell from the original.
-
-    Returns:
-        The path.
+        key_every: Frames from one that stands alone to the next; libx264's own choice when None.
     """
-    _check(frames)
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    even = ((0, 0), (0, frames.shape[1] % 2), (0, frames.shape[2] % 2), (0, 0))
-    frames = np.pad(frames, even, mode="edge")
-    part = path.with_name(path.name + ".part")
-    options = {"movflags": "faststart"}
-    with av.open(str(part), "w", format="mp4", options=options) as container:
+
+    def __init__(
+        self,
+        path: str | Path,
+        height: int,
+        width: int,
+        fps: float = 20,
+        *,
+        crf: int = 20,
+        key_every: int | None = None,
+    ) -> None:
+        self.path = Path(path)
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        self.part = self.path.with_name(self.path.name + ".part")
+        self.frames = 0
+        self._even = ((0, 0), (0, height % 2), (0, width % 2), (0, 0))
+        options = {"movflags": "faststart"}
+        self._container = av.open(str(self.part), "w", format="mp4", options=options)
+        settings = {"crf": str(crf)} | ({"g": str(key_every)} if key_every else {})
         rate = Fraction(fps).limit_denominator(1001)
-        stream = container.add_stream("libx264", rate=rate, options={"crf": str(crf)})
+        stream = self._container.add_stream("libx264", rate=rate, options=settings)
         if not isinstance(stream, VideoStream):
             raise TypeError(f"libx264 opened a {type(stream).__name__}, expected a video stream")
-        stream.height, stream.width = frames.shape[1:3]
+        self._stream = stream
+        stream.height, stream.width = height + height % 2, width + width % 2
         stream.pix_fmt = "yuv420p"
         # Without these tags a player guesses the colour matrix from the size of the picture.
         context = stream.codec_context
         context.colorspace, context.color_range = Colorspace.ITU709, ColorRange.MPEG
         context.color_primaries, context.color_trc = ColorPrimaries.BT709, ColorTrc.BT709
-        for rgb in frames:
+
+    def __enter__(self) -> "VideoFile":
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        if kind is None:
+            self._container.mux(self._stream.encode())
+        self._container.close()
+        if kind is None:
+            self.part.replace(self.path)
+
+    def add(self, frames: np.ndarray) -> None:
+        """Appends frames, uint8 [T, H, W, 3], RGB."""
+        for rgb in np.pad(frames, self._even, mode="edge"):
             frame = VideoFrame.from_ndarray(np.ascontiguousarray(rgb), format="rgb24")
-            container.mux(stream.encode(frame.reformat(format="yuv420p", dst_colorspace="ITU709")))
-        container.mux(stream.encode())
-    part.replace(path)
-    return path
+            frame = frame.reformat(format="yuv420p", dst_colorspace="ITU709")
+            self._container.mux(self._stream.encode(frame))
+        self.frames += len(frames)
+
+
+def write_video(path: str | Path, frames: np.ndarray, fps: float = 20, *, crf: int = 20) -> Path:
+    """Write a whole `VideoFile`.
+
+    Args:
+        path: Where the video goes; folders are made.
+        frames: uint8 [T, H, W, 3], RGB, at least one frame.
+        fps: Frames a second.
+        crf: Quality of libx264, 0 (lossless) to 51.
+
+    Returns:
+        The path.
+    """
+    _check(frames)
+    with VideoFile(path, frames.shape[1], frames.shape[2], fps, crf=crf) as video:
+        video.add(frames)
+    return Path(path)
 
 
 def grid(
