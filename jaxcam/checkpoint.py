@@ -313,7 +313,10 @@ def _check_side(where: str, side: Mapping[str, Any], expect: Mapping[str, Any]) 
         if old == new or key in ("convention", "packages", "config"):
             continue
         if isinstance(old, dict) and isinstance(new, dict):
-            fields = sorted(k for k in old.keys() | new.keys() if old.get(k) != new.get(k))
+            # A setting the checkpoint lacks is newer than it, and had its default then.
+            fields = sorted(k for k in old if old[k] != new.get(k))
+            if not fields:
+                continue
             listed = "; ".join(f"{k}: {old.get(k)!r} -> {new.get(k)!r}" for k in fields)
         else:
             listed = f"{old!r} -> {new!r}"

@@ -23,7 +23,7 @@ from jaxcam.fields import (
     one_of,
     overrides,
 )
-from jaxcam.presets import PRESETS
+from jaxcam.presets import PRESETS, USUAL
 
 C = TypeVar("C", "TrainConfig", "CollectConfig", "RobomimicConfig")
 
@@ -67,12 +67,22 @@ class TrainConfig:
     """Course of the learning rate after the warm-up."""
     warmup: FromPreset[int] = PRESET
     """Updates over which the learning rate rises to its peak."""
+    final_lr: FromPreset[float] = PRESET
+    """Learning rate at the end of a cosine."""
+    optimizer: Annotated[FromPreset[str], one_of("optimizer")] = PRESET
+    """Whether the weight decay stands beside Adam's update (adamw) or in the gradient (adam)."""
     weight_decay: FromPreset[float] = PRESET
-    """AdamW's weight decay."""
-    clip_norm: float = 1.0
-    """Largest global norm of a gradient."""
-    ema: float = 0.0
-    """Decay of the weights' moving average, which is then evaluated; 0 is off."""
+    """Weight decay."""
+    beta1: FromPreset[float] = PRESET
+    """Decay of Adam's average of gradients."""
+    beta2: FromPreset[float] = PRESET
+    """Decay of Adam's average of squared gradients."""
+    clip_norm: FromPreset[float] = PRESET
+    """Largest global norm of a gradient; 0 is off."""
+    ema: FromPreset[float] = PRESET
+    """Largest decay of the weights' moving average, which is then evaluated; 0 is off."""
+    ema_power: FromPreset[float] = PRESET
+    """The decay rises as 1 - update^-power up to that; 0 has it there from the start."""
     precision: Annotated[FromPreset[str], one_of("precision")] = PRESET
     """Arithmetic of the networks; weights and rays are always float32."""
     resolution: FromPreset[int] = PRESET
@@ -115,9 +125,10 @@ class TrainConfig:
         check_names(self)
         check_least(self, 1, "views steps batch n demos pairs keep log_every eval_every")
         check_least(self, 1, "save_every steps_per_call")
-        check_least(self, 0, "seed warmup weight_decay m validation ema")
+        check_least(self, 0, "seed warmup weight_decay m validation ema ema_power clip_norm")
+        check_least(self, 0, "final_lr beta1 beta2")
         check_least(self, 16, "resolution")
-        check_least(self, 0, "lr clip_norm crop_min", or_equal=False)
+        check_least(self, 0, "lr crop_min", or_equal=False)
         _check_train(self)
         overrides(self.model)
 
@@ -225,6 +236,31 @@ class RobomimicConfig:
         _check_window(self.n, self.m)
 
 
+@dataclass(frozen=True)
+class LerobotConfig:
+    """Export a dataset in LeRobot's v3 format: Parquet, MP4 and metadata with the cameras."""
+
+    dataset: tyro.conf.Positional[str]
+    """HDF5 file of demonstrations."""
+    out: tyro.conf.Positional[str]
+    """Folder to write."""
+    resolution: int = 256
+    """Image side in pixels, an even number; 84 shares the laptop preset's pictures."""
+    action_space: Annotated[str, one_of("action_space")] = TrainConfig.action_space
+    """What the actions mean."""
+    instruction: Annotated[str | None, tyro.conf.arg(metavar="STR"), default("the task")] = None
+    """The task in words, for policies that read."""
+    validation: bool = False
+    """Export the validation demonstrations, seen by one held-out camera each."""
+
+    def __post_init__(self) -> None:
+        check_types(self)
+        check_names(self)
+        check_least(self, 16, "resolution")
+        if self.resolution % 2:
+            raise ConfigError(f"resolution must be even for video, got {self.resolution}.")
+
+
 def with_task(config: C) -> C:
     """The config with the cameras of its task where they are unset: views, n and m."""
     from jaxcam.sim import make_task
@@ -255,7 +291,10 @@ def resolve(config: TrainConfig, *, accelerator: bool | None = None) -> TrainCon
     preset = config.preset
     if preset == "auto":
         preset = "paper" if accelerator else "laptop"
-    values = dict(PRESETS[config.policy, preset], preset=preset)
+    if (config.policy, preset) not in PRESETS:
+        known = ", ".join(name for policy, name in PRESETS if policy == config.policy)
+        raise ConfigError(f"{config.policy} has no preset '{preset}', only {known}.")
+    values = {**USUAL, **PRESETS[config.policy, preset], "preset": preset}
     if not accelerator:
         values["steps_per_call"] = 1  # XLA's CPU loops run convolutions many times slower.
     given = {k: v for k, v in dataclasses.asdict(config).items() if v is not None}
@@ -318,8 +357,10 @@ def _check_train(config: TrainConfig) -> None:
         raise ConfigError(f"views ({config.views}) needs as many cameras: raise n ({config.n}).")
     if config.crop_min is not None and config.crop_min > 1:
         raise ConfigError(f"crop_min is a share of the image, at most 1; got {config.crop_min}.")
-    if config.ema >= 1:
-        raise ConfigError(f"ema must be below 1, got {config.ema}.")
+    for field in ("ema", "beta1", "beta2"):
+        value = getattr(config, field)
+        if value is not None and value >= 1:
+            raise ConfigError(f"{field} must be below 1, got {value}.")
     if None not in (config.warmup, config.steps) and config.warmup >= config.steps:
         raise ConfigError(f"warmup ({config.warmup}) must be shorter than steps ({config.steps}).")
     if config.steps_per_call is None:

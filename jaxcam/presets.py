@@ -22,9 +22,16 @@ NAMES: dict[str, tuple[str, ...]] = {
     ),
     "actions": ("commands", "states"),
     "schedule": ("constant", "cosine"),
+    "optimizer": ("adamw", "adam"),
     "precision": ("float32", "bfloat16"),
     "split": ("test", "validation"),
 }
+
+# What presets give unless they say otherwise.
+USUAL: dict[str, Any] = {
+    "optimizer": "adamw", "beta1": 0.9, "beta2": 0.999, "clip_norm": 1.0, "final_lr": 0.0,
+    "ema": 0.0, "ema_power": 0.0,
+}  # fmt: skip
 
 # The values a preset gives. The paper's come from the authors' released run settings; an epoch of
 # theirs is 3 updates, and they evaluate and save every 1000 epochs.

@@ -22,7 +22,7 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Self
 
-from jaxcam.config import TrainConfig, differences
+from jaxcam.config import TrainConfig, differences, resolve
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.fields import from_json, to_json
 
@@ -114,7 +114,9 @@ class RunDir:
         """Compare with the configuration in the folder, then write down this start."""
         stored = self.path / "config.json"
         if stored.exists():
-            self._compare(from_json(TrainConfig, stored.read_text("utf-8")), config)
+            old = from_json(TrainConfig, stored.read_text("utf-8"))
+            # Settings that are newer than the run: it was made with their preset's values.
+            self._compare(resolve(old, accelerator=False), config)
         elif self.checkpoints.exists() and any(self.checkpoints.iterdir()):
             raise ConfigError(
                 f"{self.path} has checkpoints but no config.json, so it cannot be continued. "

@@ -72,15 +72,37 @@ def make_schedule(config: TrainConfig) -> optax.Schedule:
     start = config.lr / (config.warmup + 1)  # Not 0: the first update should count.
     if config.schedule == "constant":
         return optax.warmup_constant_schedule(start, config.lr, config.warmup)
-    return optax.warmup_cosine_decay_schedule(start, config.lr, config.warmup, config.steps)
+    return optax.warmup_cosine_decay_schedule(
+        start, config.lr, config.warmup, config.steps, config.final_lr
+    )
 
 
 def make_optimizer(config: TrainConfig) -> optax.GradientTransformation:
-    """AdamW on gradients clipped by their global norm."""
-    return optax.chain(
-        optax.clip_by_global_norm(config.clip_norm),
-        optax.adamw(make_schedule(config), b1=0.9, b2=0.999, weight_decay=config.weight_decay),
+    """Adam on gradients clipped by their global norm, with decoupled weight decay or L2."""
+    clip = optax.clip_by_global_norm(config.clip_norm) if config.clip_norm else optax.identity()
+    rate, betas = make_schedule(config), (config.beta1, config.beta2)
+    if config.optimizer == "adamw":
+        decay = config.weight_decay
+        return optax.chain(clip, optax.adamw(rate, *betas, weight_decay=decay, mask=is_trained))
+    l2 = optax.add_decayed_weights(config.weight_decay, mask=is_trained)
+    return optax.chain(clip, l2, optax.adam(rate, *betas))
+
+
+def is_trained(params: Params) -> Params:
+    """False at parameters named ``frozen...``; their gradient is zero, so only decay moves them."""
+    return jax.tree_util.tree_map_with_path(
+        lambda path, _: not path[-1].key.startswith("frozen"), params
     )
+
+
+def ema_decay(step: jax.Array, largest: float, power: float) -> jax.Array | float:
+    """Decay of the moving average at the update after `step` others.
+
+    Diffusion Policy's: 1 - step^-power, from 0 up to the largest; with power 0 it is the largest.
+    """
+    if not power:
+        return largest
+    return jnp.minimum(1 - jnp.maximum(step, 1).astype(jnp.float32) ** -power, largest)
 
 
 def init_state(
@@ -118,6 +140,7 @@ def train_step(
     tx: optax.GradientTransformation,
     augment: Augment | None = None,
     ema: float = 0.0,
+    ema_power: float = 0.0,
 ) -> tuple[TrainState, Metrics]:
     """One update; skipped, and counted, if loss or gradient are not finite.
 
@@ -128,7 +151,8 @@ def train_step(
         loss: A policy's `loss`.
         tx: Optimizer.
         augment: Changes the batch by a key, before the loss.
-        ema: Decay of the moving average.
+        ema: Largest decay of the moving average.
+        ema_power: How the decay rises, see `ema_decay`.
 
     Returns:
         The state after the update, and scalars: those of the loss, "loss", "grad_norm", "skipped".
@@ -144,7 +168,8 @@ def train_step(
     params = optax.apply_updates(state.params, updates)
     average = state.ema
     if average is not None:
-        average = jax.tree.map(lambda a, p: ema * a + (1 - ema) * p, average, params)
+        decay = ema_decay(state.step, ema, ema_power)
+        average = jax.tree.map(lambda a, p: decay * a + (1 - decay) * p, average, params)
     new, old = (params, opt, average), (state.params, state.opt, state.ema)
     params, opt, average = jax.tree.map(lambda n, o: jnp.where(is_good, n, o), new, old)
     metrics = {**metrics, "loss": value, "grad_norm": norm, "skipped": 1.0 - is_good}
@@ -158,6 +183,7 @@ def make_train_chunk(
     *,
     augment: Augment | None = None,
     ema: float = 0.0,
+    ema_power: float = 0.0,
 ) -> Callable[[TrainState, Batch, jax.Array], tuple[TrainState, Metrics]]:
     """Compile several updates into one call.
 
@@ -165,7 +191,8 @@ def make_train_chunk(
         loss: A policy's `loss`.
         tx: Optimizer.
         augment: Changes the batch by a key, before the loss.
-        ema: Decay of the moving average.
+        ema: Largest decay of the moving average.
+        ema_power: How the decay rises, see `ema_decay`.
 
     Returns:
         `train_chunk(state, batches, root) -> (state, metrics)`. Arrays in `batches` and `metrics`
@@ -176,7 +203,9 @@ def make_train_chunk(
         state: TrainState, batches: Batch, root: jax.Array
     ) -> tuple[TrainState, Metrics]:
         def step(state: TrainState, batch: Batch) -> tuple[TrainState, Metrics]:
-            return train_step(state, batch, root, loss=loss, tx=tx, augment=augment, ema=ema)
+            return train_step(
+                state, batch, root, loss=loss, tx=tx, augment=augment, ema=ema, ema_power=ema_power
+            )
 
         if jax.tree.leaves(batches)[0].shape[0] == 1:
             # Not a loop of one: on CPUs XLA runs convolutions in loops 6 to 17 times slower.

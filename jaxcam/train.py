@@ -138,7 +138,9 @@ def _fit(
 
     root, tx = jax.random.key(config.seed), make_optimizer(config)
     crop = functools.partial(random_crop, smallest=config.crop_min)
-    update = make_train_chunk(policy.loss, tx, augment=crop, ema=config.ema)
+    update = make_train_chunk(
+        policy.loss, tx, augment=crop, ema=config.ema, ema_power=config.ema_power
+    )
     validation_loss = jax.jit(lambda params, batch: policy.loss(params, batch, None)[0])
     held_out = dataset.validation(policy.spec.chunk, config.views) if config.validation else None
     side = make_side(

@@ -1,6 +1,8 @@
 """The update: it learns, resumes bit-exactly, skips non-finite steps, and follows its schedule."""
 
 import dataclasses
+import json
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +15,7 @@ from jaxcam.errors import DivergedError
 from jaxcam.state import (
     Stream,
     check_finite,
+    ema_decay,
     init_state,
     make_optimizer,
     make_schedule,
@@ -22,6 +25,7 @@ from jaxcam.state import (
 
 CONFIG = resolve(TrainConfig(steps=40, lr=0.1, warmup=4), accelerator=False)
 ROOT = jax.random.key(CONFIG.seed)
+GOLDEN = json.loads((Path(__file__).parent / "golden" / "schedules.json").read_text())
 
 
 def init(key):
@@ -155,6 +159,33 @@ def test_ema_follows_and_off_costs_nothing():
     state, _ = build()
     assert state.ema is None
     assert len(jax.tree.leaves(state)) == 2 + 2 + len(jax.tree.leaves(state.opt))
+
+
+def test_ema_decay_rises_as_that_of_diffusion_policy():
+    for step, decay in GOLDEN["ema_decay_power0.75"].items():
+        assert float(ema_decay(jnp.int32(int(step)), 0.9999, 0.75)) == pytest.approx(
+            decay, abs=1e-6
+        )
+
+
+def test_ema_that_rises_starts_as_the_parameters():
+    tx = make_optimizer(CONFIG)
+    chunk = make_train_chunk(loss, tx, ema=0.9, ema_power=0.75)
+    state, _ = chunk(init_state(init, tx, ROOT, ema=True), batches([0]), ROOT)
+    assert_equal_trees(state.ema, state.params)
+
+
+def test_frozen_parameters_stay_and_l2_is_not_decoupled():
+    params = {"w": jnp.ones(2), "frozen_scale": jnp.ones(2)}
+    grads = {"w": jnp.ones(2), "frozen_scale": jnp.zeros(2)}
+    moved = {}
+    for kind in ("adamw", "adam"):
+        tx = make_optimizer(dataclasses.replace(CONFIG, optimizer=kind, weight_decay=0.5))
+        updates, _ = tx.update(grads, tx.init(params), params)
+        assert (updates["frozen_scale"] == 0).all()
+        moved[kind] = float(updates["w"][0])
+    # Adam's first step has size 1 whatever is added to the gradient.
+    assert moved["adamw"] == pytest.approx(1.5 * moved["adam"], rel=1e-3)
 
 
 def test_seeds_can_be_vmapped():
