@@ -13,7 +13,7 @@ those. The ways:
 """
 
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -46,8 +46,8 @@ FLATTEST = 0.1
 
 
 @dataclass(frozen=True)
-class VisionConfig:
-    """Settings of the image encoder and of the conditioning."""
+class CameraConfig:
+    """How a policy is told where its cameras are, and what it computes in."""
 
     conditioning: str = "late"
     """How the policy is told where its cameras are: none, token, early, late or keypoints."""
@@ -57,6 +57,42 @@ class VisionConfig:
     """That fixed pose, base_from_camera, OpenCV axes."""
     ray_convention: Literal["jaxcam", "authors"] = "jaxcam"
     """Order and pixel offset of the ray-map; keypoints always use "jaxcam"."""
+    compute_dtype: str = "float32"
+    """Arithmetic of the networks, float32 or bfloat16; weights and rays are always float32."""
+
+    def __post_init__(self) -> None:
+        """Refuse names that do not exist."""
+        check_known(
+            self,
+            conditioning=CONDITIONINGS,
+            twin_of=CONDITIONINGS,
+            ray_convention=("jaxcam", "authors"),
+            compute_dtype=("float32", "bfloat16"),
+        )
+
+    @property
+    def network(self) -> str:
+        """The conditioning whose network is built, which an image-only twin shares."""
+        return self.twin_of if self.conditioning == "none" else self.conditioning
+
+    @property
+    def dtype(self) -> DTypeLike:
+        """Type the networks compute in."""
+        return jnp.dtype(self.compute_dtype)
+
+
+def check_known(config: Any, **known: tuple[str, ...]) -> None:
+    """Refuse settings whose value is not one of the known names."""
+    for name, names in known.items():
+        value = getattr(config, name)
+        if value not in names:
+            raise ConfigError(f"Unknown {name} '{value}'{closest(str(value), names)}.")
+
+
+@dataclass(frozen=True)
+class VisionConfig(CameraConfig):
+    """Settings of the image encoder and of the conditioning."""
+
     encoder: str = "resnet18"
     """Image encoder: resnet18 (stride 32) or small (stride 4, cheap on a CPU)."""
     encoder_depth: int = 2
@@ -77,41 +113,24 @@ class VisionConfig:
     rays always do."""
     lift: bool = True
     """Whether a ray keypoint also carries the point of its ray at a height the network chooses."""
-    compute_dtype: str = "float32"
-    """Arithmetic of the networks, float32 or bfloat16; weights and rays are always float32."""
 
     def __post_init__(self) -> None:
         """Refuse names that do not exist."""
-        for name, known in (
-            ("conditioning", CONDITIONINGS),
-            ("twin_of", CONDITIONINGS),
-            ("ray_convention", ("jaxcam", "authors")),
-            ("encoder", ("resnet18", "small")),
-            ("image_scaling", ("imagenet", "symmetric")),
-            ("pool", ("grid", "keypoints")),
-            ("compute_dtype", ("float32", "bfloat16")),
-        ):
-            value = getattr(self, name)
-            if value not in known:
-                raise ConfigError(f"Unknown {name} '{value}'{closest(str(value), known)}.")
-
-    @property
-    def network(self) -> str:
-        """The conditioning whose network is built, which an image-only twin shares."""
-        return self.twin_of if self.conditioning == "none" else self.conditioning
+        super().__post_init__()
+        check_known(
+            self,
+            encoder=("resnet18", "small"),
+            image_scaling=("imagenet", "symmetric"),
+            pool=("grid", "keypoints"),
+        )
 
     @property
     def pools_keypoints(self) -> bool:
         """Whether tokens are keypoints instead of cells of the feature map."""
         return self.pool == "keypoints" or self.network == "keypoints"
 
-    @property
-    def dtype(self) -> DTypeLike:
-        """Type the networks compute in."""
-        return jnp.dtype(self.compute_dtype)
 
-
-C = TypeVar("C", bound=VisionConfig)
+C = TypeVar("C", bound=CameraConfig)
 
 
 def with_conditioning(config: C, conditioning: str) -> C:
@@ -123,7 +142,7 @@ def with_conditioning(config: C, conditioning: str) -> C:
     return replace(config, conditioning=conditioning, twin_of=twin_of)
 
 
-def camera_poses(config: VisionConfig, obs: Obs) -> jax.Array:
+def camera_poses(config: CameraConfig, obs: Obs) -> jax.Array:
     """The camera poses the policy is told, [B, V, 4, 4]: the true ones, or the fixed one."""
     poses = jnp.asarray(obs["base_from_camera"], jnp.float32)
     if config.conditioning == "none":
@@ -132,7 +151,7 @@ def camera_poses(config: VisionConfig, obs: Obs) -> jax.Array:
 
 
 def grid_rays(
-    config: VisionConfig, obs: Obs, height: int, width: int, *, authors: bool = False
+    config: CameraConfig, obs: Obs, height: int, width: int, *, authors: bool = False
 ) -> jax.Array:
     """Ray-map of every view on a grid that covers its image, [B*V, height, width, 6]."""
     image_height, image_width = obs["image"].shape[-3:-1]
