@@ -29,7 +29,17 @@ C = TypeVar("C", "TrainConfig", "CollectConfig", "RobomimicConfig")
 
 # Settings that leave every update of a run as it was; all others are part of a run's identity.
 FREE_TO_CHANGE = frozenset(
-    {"pairs", "data_dir", "dataset", "run_dir", "log_every", "eval_every", "save_every", "keep"}
+    {
+        "pairs",
+        "engine",
+        "data_dir",
+        "dataset",
+        "run_dir",
+        "log_every",
+        "eval_every",
+        "save_every",
+        "keep",
+    }
 )
 
 
@@ -102,6 +112,8 @@ class TrainConfig:
     """Validation demonstrations."""
     pairs: int = 50
     """Held-out (initial state, camera pose) pairs of the final evaluation."""
+    engine: Annotated[str, one_of("engine")] = "auto"
+    """Physics of the final evaluation; auto is mjx-warp on an accelerator and native without."""
 
     data_dir: str = "data"
     """Folder of the datasets."""
@@ -147,6 +159,9 @@ class EvaluateConfig:
     """Which pairs: those kept for results, or those for choosing settings."""
     width: int = 50
     """Rollouts simulated at once; rows of different widths are not mixed."""
+    engine: Annotated[str, one_of("engine")] = "auto"
+    """Physics; auto is mjx-warp on an accelerator and native without. Rows of different engines are
+    not mixed."""
     videos: int = 16
     """Rollouts shown in the video; 0 is none."""
 
