@@ -29,8 +29,7 @@ from jaxcam.plots import write_plots
 from jaxcam.progress import progress
 from jaxcam.rays import Camera, sample_poses, spherical
 from jaxcam.rundir import append_jsonl, read_jsonl
-from jaxcam.sim import make_task
-from jaxcam.sim.native import NativeEngine
+from jaxcam.sim import engine_name, make_engine, make_task
 from jaxcam.sim.render import Renderer, View
 from jaxcam.sim.rollout import Rollouts, rollout
 from jaxcam.sim.task import starts
@@ -47,6 +46,8 @@ VIDEO_STRIDE = 2
 """Control steps per frame of a video."""
 
 Row = dict[str, Any]
+NATIVE: Row = {"engine": "native"}
+"""What rows lack that were written before there was a choice."""
 
 
 class Evaluator:
@@ -56,14 +57,17 @@ class Evaluator:
         config: of the runs whose policies are evaluated.
         width: rollouts simulated at once. Policies see batches of exactly this many, since the
             width can change a result's last digits; it is kept in each row.
+        engine: that simulates them; `config.engine` when None.
     """
 
-    def __init__(self, config: TrainConfig, width: int = 50) -> None:
+    def __init__(self, config: TrainConfig, width: int = 50, engine: str | None = None) -> None:
         self.config, self.width = config, width
+        self.engine_name = engine_name(engine or config.engine)
         self.task = make_task(config.task)
         self.scene = self.task.scene(config.scene)
         varied = self.task.varied
-        self.engine = NativeEngine(self.scene, controller_of(config.action_space), varied=varied)
+        controller = controller_of(config.action_space)
+        self.engine = make_engine(self.engine_name, self.scene, controller, varied)
         self.renderer = Renderer(self.scene, config.resolution, varied=varied)
 
     def run(
@@ -92,14 +96,15 @@ class Evaluator:
             One row per pair, and the rollouts.
         """
         config, task = self.config, self.task
-        seed, cameras = self._pairs(split, pairs)
-        act = _padded(jax.jit(policy.act), params, self.width, config.seed)
-        start = starts(task, self.scene, [seed + p for p in pairs])
+        # Always worlds for `width`: neither policy nor compiled physics sees another size.
+        filled = [*pairs, *[pairs[-1]] * (self.width - len(pairs))]
+        seed, cameras = self._pairs(split, filled)
+        start = starts(task, self.scene, [seed + p for p in filled])
         K = np.broadcast_to(
             intrinsics(task.fovy_deg, config.resolution), (*cameras.shape[:2], 3, 3)
         )
         done = rollout(
-            act,
+            _act(policy, params, config.seed),
             task,
             self.scene,
             self.engine,
@@ -109,6 +114,7 @@ class Evaluator:
             cameras,
             config.action_space,
             policy.execute,
+            np.arange(self.width) < len(pairs),
             tick,
         )
         azimuth, elevation, distance = (
@@ -133,6 +139,7 @@ class Evaluator:
                 "distance": float(distance[i]),
                 "camera": cameras[i].tolist(),
                 "renderer": Renderer.identity(),
+                "engine": self.engine_name,
                 "width": self.width,
                 "episode_seed": seed + pair,
             }
@@ -179,16 +186,10 @@ class Evaluator:
         return first, poses.reshape(-1, views, 4, 4)[list(pairs)]
 
 
-def _padded(act: Any, params: Any, width: int, seed: int) -> Any:
-    """The policy on batches of exactly `width`, the last episode repeated."""
-    root = jax.random.key(seed)
-
-    def call(obs: dict[str, np.ndarray], number: int) -> np.ndarray:
-        count = len(obs["image"])
-        full = {k: np.concatenate([v, np.repeat(v[-1:], width - count, 0)]) for k, v in obs.items()}
-        return np.asarray(act(params, full, jax.random.fold_in(root, number)))[:count]
-
-    return call
+def _act(policy: Policy, params: Any, seed: int) -> Callable[[dict[str, np.ndarray], int], Any]:
+    """The policy with its parameters and with chance of its own for every call."""
+    root, compiled = jax.random.key(seed), jax.jit(policy.act)
+    return lambda obs, number: compiled(params, obs, jax.random.fold_in(root, number))
 
 
 def evaluate(
@@ -224,11 +225,11 @@ def evaluate(
     file = folder / "eval" / "rows.jsonl"
     file.parent.mkdir(parents=True, exist_ok=True)
 
-    same = {"step": step, "split": split, "width": evaluator.width}
+    same = {"step": step, "split": split, "width": evaluator.width, "engine": evaluator.engine_name}
 
     def rows_so_far() -> list[Row]:
-        rows = (r for r in read_jsonl(file) if all(r[k] == v for k, v in same.items()))
-        return [r for r in rows if r["pair"] < pairs]
+        rows = [NATIVE | r for r in read_jsonl(file)]
+        return [r for r in rows if r["pair"] < pairs and all(r[k] == same[k] for k in same)]
 
     def to_run() -> list[int]:
         tries = Counter(r["pair"] for r in rows_so_far())
@@ -265,7 +266,7 @@ def main() -> None:
     console = Console()
     inputs = load_policy_inputs(config.run, config.step)
     policy = rebuild_policy(inputs)
-    evaluator = Evaluator(inputs.config, config.width)
+    evaluator = Evaluator(inputs.config, config.width, config.engine)
     folder = Path(config.run)
     estimate = evaluate(
         evaluator,
@@ -280,8 +281,8 @@ def main() -> None:
     )
     rows = [
         r
-        for r in read_jsonl(folder / "eval" / "rows.jsonl")
-        if r["step"] == inputs.step and r["split"] == config.split
+        for r in latest_rows(read_jsonl(folder / "eval" / "rows.jsonl"))
+        if (r["step"], r["split"]) == (inputs.step, config.split)
     ]
     write_plots(folder / "plots", read_jsonl(folder / "metrics.jsonl"), rows)
     console.print(

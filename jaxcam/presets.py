@@ -25,6 +25,7 @@ NAMES: dict[str, tuple[str, ...]] = {
     "optimizer": ("adamw", "adam"),
     "precision": ("float32", "bfloat16"),
     "split": ("test", "validation"),
+    "engine": ("auto", "native", "mjx-jax", "mjx-warp"),
 }
 
 # What presets give unless they say otherwise.

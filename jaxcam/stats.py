@@ -152,14 +152,25 @@ def paired_difference(rows_a: Iterable[Row], rows_b: Iterable[Row]) -> Differenc
 def latest_rows(rows: Iterable[Row]) -> list[Row]:
     """Keep the last row of each rollout, so that a re-run replaces the attempt that failed.
 
+    Rows of different engines or batch widths are never mixed: of an evaluation that was run in
+    several ways, the one run last counts.
+
     Args:
         rows: Evaluation rows in the order they were written.
 
     Returns:
         One row for each (task, scene, run, policy, conditioning, seed, step, split, pair).
     """
-    names = ("task", "scene", "run", "policy", "conditioning", "seed", "step", "split", "pair")
-    return list({tuple(row.get(name) for name in names): row for row in rows}.values())
+    names = ("task", "scene", "run", "policy", "conditioning", "seed", "step", "split")
+    ways: dict[tuple[Any, ...], tuple[Any, Any]] = {}
+    latest: dict[tuple[Any, ...], dict[Any, Row]] = {}
+    for row in rows:
+        evaluation = tuple(row.get(name) for name in names)
+        way = row.get("engine", "native"), row.get("width")
+        if ways.get(evaluation) != way:
+            ways[evaluation], latest[evaluation] = way, {}
+        latest[evaluation][row.get("pair")] = row
+    return [row for pairs in latest.values() for row in pairs.values()]
 
 
 def is_finished(row: Row) -> bool:

@@ -11,6 +11,7 @@ class FlakyEvaluator:
     """Pair 1 ends in an error the first time, pair 2 every time; the rest succeed."""
 
     width = 2
+    engine_name = "native"
 
     def __init__(self, lift):
         self.task = lift

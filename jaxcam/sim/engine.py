@@ -4,9 +4,15 @@ An engine knows the scene and a controller but no task. It advances worlds by co
 whose physics diverges is flagged and left, the others go on.
 """
 
-from typing import Literal, NamedTuple, Protocol
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 
-from jaxcam.sim.controllers import Array
+import numpy as np
+
+from jaxcam.rotations import Array, array_namespace
+
+if TYPE_CHECKING:
+    from jaxcam.sim.scene import Scene
 
 ControllerName = Literal["osc_pose", "joint_position"]
 
@@ -54,9 +60,58 @@ class Command(NamedTuple):
     """Positive closes, negative opens [B]."""
 
 
+Success = Callable[["Scene", State, Start], Array]
+"""A task's `success`: whether each world is done [B]."""
+
+
+class Progress(NamedTuple):
+    """A batch of episodes on its way. Those that are done, lost or out of time stay as they are."""
+
+    state: State
+    alive: Array
+    """[B] False where an episode was given up for what is not physics."""
+    success: Array
+    """[B] success at any control step so far."""
+    steps: Array
+    """[B] control steps to success; the horizon without."""
+    taken: Array
+    """Control steps so far, of all episodes."""
+    horizon: Array
+    """Control steps after which an episode is out of time."""
+
+    @property
+    def active(self) -> Array:
+        """[B] episodes that go on."""
+        return ~self.success & self.state.ok & self.alive & (self.taken < self.horizon)
+
+
+def control_step(
+    step: Callable[[State, Command, Array], State],
+    is_done: Callable[[State], Array],
+    progress: Progress,
+    command: Command,
+) -> Progress:
+    """One control step of the episodes that go on; under NumPy and under `jax.jit`.
+
+    Args:
+        step: an engine's.
+        is_done: success of each world.
+        progress: so far.
+        command: targets [B, ...].
+    """
+    active = progress.active
+    state = step(progress.state, command, active)
+    now = active & state.ok & is_done(state)
+    taken = progress.taken + 1
+    steps = array_namespace(now).where(now, taken, progress.steps)
+    success = progress.success | now
+    return progress._replace(state=state, success=success, steps=steps, taken=taken)
+
+
 class Engine(Protocol):
     """Steps a batch of worlds of one scene with one controller."""
 
+    scene: "Scene"
     substeps: int
     """Physics steps per control step."""
 
@@ -67,3 +122,37 @@ class Engine(Protocol):
     def step(self, state: State, command: Command, active: Array | None = None) -> State:
         """Advances the worlds one control step; those not `active` [B] stay as they are."""
         ...
+
+    def play(
+        self,
+        progress: Progress,
+        commands: Command,
+        start: Start,
+        success: Success,
+        tick: Callable[[], None] = lambda: None,
+    ) -> tuple[Progress, Array]:
+        """Executes commands open loop until each episode succeeds, is lost or runs out of time.
+
+        Args:
+            progress: of episodes that began with this engine's last `reset`.
+            commands: targets [B, T, ...].
+            start: that they began at.
+            success: the task's.
+            tick: called once for every control step.
+
+        Returns:
+            The progress after T control steps, or at the horizon, and the way there [T', B, nq].
+        """
+        trace = []
+        for t in range(commands.target.shape[1]):
+            if progress.taken == progress.horizon:
+                break
+            progress = control_step(
+                self.step,
+                lambda state: success(self.scene, state, start),
+                progress,
+                Command(commands.target[:, t], commands.gripper[:, t]),
+            )
+            trace.append(progress.state.qpos)
+            tick()
+        return progress, np.stack(trace)

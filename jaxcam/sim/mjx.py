@@ -21,7 +21,16 @@ from jaxcam.errors import ConfigError, SimError
 from jaxcam.rotations import Array, matrix_from_rotvec
 from jaxcam.sim import controllers
 from jaxcam.sim.controllers import ArmState
-from jaxcam.sim.engine import Command, ControllerName, Start, State
+from jaxcam.sim.engine import (
+    Command,
+    ControllerName,
+    Engine,
+    Progress,
+    Start,
+    State,
+    Success,
+    control_step,
+)
 from jaxcam.sim.scene import Scene
 
 Impl = Literal["jax", "warp"]
@@ -43,7 +52,7 @@ _CPU_OPTIONS = {"xla_cpu_use_fusion_emitters": False}
 """XLA's fusion emitters take six times as long over MJX-JAX's long chains of small operations."""
 
 
-class MjxEngine:
+class MjxEngine(Engine):
     """Steps worlds with MJX, the controller in the same program; see `Engine`.
 
     Nothing here leaves the device. A world's step depends on its `State` alone: contacts and other
@@ -90,10 +99,11 @@ class MjxEngine:
         self._mass_at = _full_from_sparse(model)[np.ix_(scene.arm, scene.arm)]
         self._scratch = functools.cache(self._make_scratch)
         self._overflow = 0
-        self._jit_begin = self.compile(
-            lambda start: (self._state(start), self._bodies(start.geom_size))
-        )
-        self._jit_advance = self.compile(self._advance)
+        on_cpu = jax.default_backend() == "cpu"
+        jit = functools.partial(jax.jit, compiler_options=_CPU_OPTIONS if on_cpu else None)
+        self._jit_begin = jit(lambda start: (self._state(start), self._bodies(start.geom_size)))
+        self._jit_advance = jit(self._advance)
+        self._jit_play = jit(self._play, static_argnums=0)
 
     def reset(self, start: Start) -> State:
         """Puts a batch of worlds at their starts; see `Engine.reset`."""
@@ -111,14 +121,43 @@ class MjxEngine:
         self.check_room()
         return state
 
-    def compile(self, function: Callable[..., Any]) -> Any:
-        """`jax.jit` with what makes MJX's programs compile in seconds rather than minutes."""
-        on_cpu = jax.default_backend() == "cpu"
-        return jax.jit(function, compiler_options=_CPU_OPTIONS if on_cpu else None)
+    def play(
+        self,
+        progress: Progress,
+        commands: Command,
+        start: Start,
+        success: Success,
+        tick: Callable[[], None] = lambda: None,
+    ) -> tuple[Progress, Array]:
+        """Executes commands open loop in one compiled program; see `Engine.play`.
 
-    def begin(self, start: Start) -> tuple[State, Callable[[State, Command, Array], State]]:
-        """`reset` and `step` as pure functions, for use inside a compiled program."""
-        return self._state(start), functools.partial(self._advance, self._bodies(start.geom_size))
+        Raises:
+            SimError: if contacts were lost for want of room.
+        """
+        count = commands.target.shape[1]
+        left = min(count, int(progress.horizon) - int(progress.taken))
+        played = self._jit_play(success, self._now, progress, commands, start)
+        progress, trace = jax.block_until_ready(played)
+        self.check_room()
+        for _ in range(left):
+            tick()
+        return progress, trace[:left]
+
+    def _play(
+        self, success: Success, bodies: Bodies, progress: Progress, commands: Command, start: Start
+    ) -> tuple[Progress, jax.Array]:
+        """`play` as a pure function of arrays; steps beyond the horizon change nothing."""
+        start = jax.tree.map(jnp.asarray, start)
+        step = functools.partial(self._advance, bodies)
+
+        def one(progress: Progress, command: Command) -> tuple[Progress, jax.Array]:
+            progress = control_step(
+                step, lambda state: success(self.scene, state, start), progress, command
+            )
+            return progress, progress.state.qpos
+
+        in_time = Command(*(jnp.moveaxis(jnp.asarray(x, jnp.float32), 1, 0) for x in commands))
+        return jax.lax.scan(one, jax.tree.map(jnp.asarray, progress), in_time)
 
     def check_room(self) -> None:
         """Raises an error if contacts were lost for want of room since the last call.
@@ -190,18 +229,18 @@ class MjxEngine:
         closed = controllers.gripper_command(state.closed, jnp.asarray(command.gripper))
         target = jnp.asarray(command.target, jnp.float32)
         fingers = controllers.finger_targets(closed)
-
         scratch = self._scratch(len(target))
+        sense = jax.vmap(functools.partial(self._sense, scratch))
+        integrate = jax.vmap(functools.partial(self._integrate, scratch))
 
         def substep(_: int, now: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
-            *moving, overflow = now
-            arm, data = jax.vmap(functools.partial(self._sense, scratch))(bodies, *moving)
+            qpos, qvel, warmstart, overflow = now
+            arm, begun = sense(bodies, qpos, qvel, warmstart)
             torque = jnp.clip(self._torque(arm, target, state.rest), *self._limits)
             ctrl = jnp.zeros((len(target), self.scene.physics.nu))
             ctrl = ctrl.at[:, self.scene.arm].set(torque).at[:, self.scene.fingers].set(fingers)
-            integrate = functools.partial(self._integrate, scratch)
-            *moving, bits = jax.vmap(integrate)(bodies, data, *moving, ctrl)
-            return *moving, overflow | bits
+            *moved, bits = integrate(bodies, begun, qpos, qvel, warmstart, ctrl)
+            return *moved, overflow | bits
 
         # On CUDA, matrix products are of lower precision unless asked otherwise.
         with jax.default_matmul_precision("highest"):
@@ -234,13 +273,18 @@ class MjxEngine:
         return controllers.osc_pose(arm, target[:, :3], matrix_from_rotvec(target[:, 3:]), rest)
 
     def _sense(
-        self, scratch: "_Scratch", bodies: Bodies, qpos: jax.Array, qvel: jax.Array, warm: jax.Array
+        self,
+        scratch: "_Scratch",
+        bodies: Bodies,
+        qpos: jax.Array,
+        qvel: jax.Array,
+        warmstart: jax.Array,
     ) -> tuple[ArmState, mjx.Data | None]:
         """What the controller reads of one world; with MJX-JAX, also the physics step begun."""
         begun = None
         if self.impl == "jax":
             model = self._model.tree_replace(bodies)
-            data = scratch.full.replace(qpos=qpos, qvel=qvel, qacc_warmstart=warm)
+            data = scratch.full.replace(qpos=qpos, qvel=qvel, qacc_warmstart=warmstart)
             data = begun = mjx.fwd_velocity(model, mjx.fwd_position(model, data))
             mass = data._impl.M[np.ix_(self.scene.arm, self.scene.arm)]
         else:

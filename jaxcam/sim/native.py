@@ -13,7 +13,7 @@ from mujoco.batch import Batch
 from jaxcam.rotations import matrix_from_rotvec
 from jaxcam.sim import controllers
 from jaxcam.sim.controllers import ArmState
-from jaxcam.sim.engine import Command, ControllerName, Start, State
+from jaxcam.sim.engine import Command, ControllerName, Engine, Start, State
 from jaxcam.sim.scene import Scene
 
 _GROUP = 24
@@ -28,7 +28,7 @@ _BAD = [
 _VELOCITY = mujoco.mjtStage.mjSTAGE_VEL.value
 
 
-class NativeEngine:
+class NativeEngine(Engine):
     """Steps worlds with MuJoCo's `Batch`, and a controller batched over worlds between the steps.
 
     Worlds are split into groups; a thread takes a group through all substeps of a control step. The

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxcam.actions import decode, measured
 from jaxcam.rays import invert
-from jaxcam.sim.engine import Command, Engine, Start, State
+from jaxcam.sim.engine import Command, Engine, Progress, Start
 from jaxcam.sim.render import Renderer, View
 from jaxcam.sim.scene import Scene
 from jaxcam.sim.task import Task
@@ -45,6 +45,7 @@ def rollout(
     world_from_camera: np.ndarray,
     space: str,
     execute: int | None = None,
+    alive: np.ndarray | None = None,
     tick: Callable[[], None] = lambda: None,
 ) -> Rollouts:
     """Runs one episode per start until success or the task's horizon.
@@ -60,48 +61,52 @@ def rollout(
         world_from_camera: camera poses [B, V, 4, 4].
         space: of the policy's actions.
         execute: steps of a chunk that are executed; the whole chunk when None.
+        alive: [B] False for episodes that only fill the batch up; all when None.
         tick: called after every control step.
     """
     count = len(start.qpos)
     base_from_camera = (invert(scene.world_from_base) @ world_from_camera).astype(np.float32)
     state = engine.reset(start)
     anchor = measured(space, state, scene.arm)
-    success, steps = np.zeros(count, bool), np.full(count, task.horizon)
-    trace = [state.qpos]
-    finite = np.ones(count, bool)
+    progress = Progress(
+        state=state,
+        alive=np.ones(count, bool) if alive is None else alive,
+        success=np.zeros(count, bool),
+        steps=np.full(count, task.horizon),
+        taken=np.zeros((), int),
+        horizon=np.array(task.horizon),
+    )
+    trace = [np.asarray(state.qpos)[None]]
     call = 0
-    while len(trace) <= task.horizon:
-        active = ~success & state.ok & finite
-        if not active.any():
-            break
-        images = _look(renderer, state, start, K, world_from_camera, active)
+    while np.any(active := np.asarray(progress.active)):
+        qpos, grip = np.asarray(progress.state.qpos), np.asarray(progress.state.grip_position)
         obs = {
-            "image": images,
+            "image": _look(renderer, qpos, start, K, world_from_camera, active),
             "K": K.astype(np.float32),
             "base_from_camera": base_from_camera,
-            "proprio": scene.proprio(state.qpos, state.grip_position),
+            "proprio": scene.proprio(qpos, grip),
         }
         chunk = np.asarray(act(obs, call))[:, :execute]
         call += 1
         is_finite = np.asarray(np.isfinite(chunk).all((1, 2)))
-        finite &= is_finite | ~active  # a world that is done sees black: its chunk is not used
+        # A world that is done sees black: its chunk is not used.
+        progress = progress._replace(alive=progress.alive & (is_finite | ~active))
         chunk = np.where(is_finite[:, None, None], chunk, 0)
         targets, gripper = decode(space, chunk, anchor)
-        for t in range(min(chunk.shape[1], task.horizon + 1 - len(trace))):
-            active = ~success & state.ok & finite
-            state = engine.step(state, Command(targets[:, t], gripper[:, t]), active)
-            trace.append(state.qpos)
-            now = active & state.ok & task.success(scene, state, start)
-            success |= now
-            steps[now] = len(trace) - 1
-            tick()
+        progress, way = engine.play(progress, Command(targets, gripper), start, task.success, tick)
+        trace.append(np.asarray(way))
         anchor = targets[:, -1]
-    return Rollouts(success, steps, state.ok & finite, np.stack(trace))
+    return Rollouts(
+        success=np.asarray(progress.success),
+        steps=np.asarray(progress.steps),
+        ok=np.asarray(progress.state.ok & progress.alive),
+        qpos=np.concatenate(trace),
+    )
 
 
 def _look(
     renderer: Renderer,
-    state: State,
+    qpos: np.ndarray,
     start: Start,
     K: np.ndarray,
     world_from_camera: np.ndarray,
@@ -112,7 +117,7 @@ def _look(
     rows = np.flatnonzero(active)
     pictures = np.zeros((len(active), views, renderer.height, renderer.width, 3), np.uint8)
     view = View(
-        qpos=state.qpos[rows].repeat(views, 0),
+        qpos=qpos[rows].repeat(views, 0),
         geom_size=np.asarray(start.geom_size)[rows].repeat(views, 0),
         fixtures=np.asarray(start.fixtures)[rows].repeat(views, 0),
         K=K[rows].reshape(-1, 3, 3),
