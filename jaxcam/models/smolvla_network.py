@@ -1,0 +1,200 @@
+"""SmolVLA's network: a vision language model whose keys and values an action expert reads.
+
+No image, word or state token ever attends to an action, neither in the paper's form nor in
+LeRobot's. So the prefix is computed once, and what is left of it are its keys and values; that
+holds in training as in sampling.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import nnx
+from jax.typing import DTypeLike
+
+from jaxcam.errors import ConfigError
+from jaxcam.models.flow import time_embedding
+from jaxcam.models.fusion import camera_poses, grid_rays
+from jaxcam.models.layers import linear
+from jaxcam.models.policy import Obs, PolicySpec
+from jaxcam.models.resnet import RayEncoder, space_to_depth
+from jaxcam.models.siglip import Siglip
+from jaxcam.models.smollm import NORMAL, KeyValue, Layer, dense, rms_norm
+
+if TYPE_CHECKING:
+    from jaxcam.models.smolvla import SmolVlaConfig
+
+Prefix = list[KeyValue]
+"""What every layer of the expert may read of images, words and state."""
+
+PRETRAINED = ("vision", "connector", "embed", "text")
+"""Parts that come from the vision language model; all others start at random."""
+
+
+class RayFusion(nnx.Module):
+    """The paper's late fusion: image tokens and ray tokens, normalised, concatenated, mixed."""
+
+    def __init__(self, width: int, grid: int, cells: int, *, rngs: nnx.Rngs, dtype: DTypeLike):
+        if grid % cells:
+            raise ConfigError(
+                f"A ray-map of {cells}x{cells} cells does not fit {grid}x{grid} image tokens."
+            )
+        self.repeats = grid // cells
+        self.rays = RayEncoder(rngs=rngs, dtype=dtype)
+        self.project = linear(512, width, rngs=rngs, dtype=dtype)
+        self.mix = linear(2 * width, width, rngs=rngs, dtype=dtype)
+
+    def __call__(self, tokens: jax.Array, rays: jax.Array) -> jax.Array:
+        """Map image tokens [N, grid * grid, width] and rays [N, H, W, 6] to tokens."""
+        x = self.project(self.rays(rays))
+        x = x.repeat(self.repeats, 1).repeat(self.repeats, 2).reshape(tokens.shape)
+        return self.mix(jnp.concatenate([_standardised(tokens), _standardised(x)], -1))
+
+
+def _standardised(x: jax.Array) -> jax.Array:
+    """Layer normalisation without weights."""
+    y = x.astype(jnp.float32)
+    y = y - y.mean(-1, keepdims=True)
+    y = y * jax.lax.rsqrt(jnp.mean(y * y, -1, keepdims=True) + 1e-5)
+    return y.astype(x.dtype)
+
+
+class SmolVla(nnx.Module):
+    """The network, from raw observations and noisy actions to velocities."""
+
+    def __init__(self, config: "SmolVlaConfig", spec: PolicySpec, *, rngs: nnx.Rngs):
+        dtype, width, expert = config.dtype, config.width, config.expert_width
+        self.config = config
+        self.vision = Siglip(
+            config.image_size,
+            config.patch,
+            config.vision_width,
+            config.vision_layers,
+            config.vision_heads,
+            config.vision_hidden,
+            rngs=rngs,
+            dtype=dtype,
+        )
+        self.connector = dense(
+            config.vision_width * config.shuffle**2, width, rngs=rngs, dtype=dtype
+        )
+        self.embed = nnx.Embed(
+            config.vocabulary, width, embedding_init=NORMAL, dtype=dtype, rngs=rngs
+        )
+        heads = config.heads, config.kv_heads, config.head_dim
+        self.text = nnx.List(
+            Layer(width, config.hidden, *heads, rngs=rngs, dtype=dtype)
+            for _ in range(config.layers)
+        )
+        d_cross = config.kv_heads * config.head_dim
+        self.expert = nnx.List(
+            Layer(
+                expert,
+                config.expert_hidden,
+                *heads,
+                d_context=d_cross if config.crosses(i) else None,
+                rngs=rngs,
+                dtype=dtype,
+            )
+            for i in range(config.layers)
+        )
+        self.norm = rms_norm(expert, rngs=rngs, dtype=dtype)
+        late, cells = config.network == "late", -(-spec.height // 32)
+        self.fusion = (
+            RayFusion(config.vision_width, self.vision.grid, cells, rngs=rngs, dtype=dtype)
+            if late
+            else None
+        )
+        token = config.network == "token"
+        self.pose = linear(16, width, rngs=rngs, dtype=dtype) if token else None
+        self.state = linear(config.state_width, width, rngs=rngs, dtype=dtype)
+        self.action_in = linear(config.actions(spec), expert, rngs=rngs, dtype=dtype)
+        self.time_in = linear(2 * expert, expert, rngs=rngs, dtype=dtype)
+        self.time_out = linear(expert, expert, rngs=rngs, dtype=dtype)
+        self.action_out = linear(expert, config.actions(spec), rngs=rngs, dtype=jnp.float32)
+
+    def prefix(self, obs: Obs, state: jax.Array) -> Prefix:
+        """Read images, cameras, the prompt and the normalised state [B, state_width]."""
+        batch = state.shape[0]
+        images = self._images(obs).reshape(batch, -1, self.config.width)
+        words = self.embed(np.asarray(self.config.tokens))
+        words = jnp.broadcast_to(words, (batch, *words.shape))
+        if self.config.scale_embeddings:
+            images, words = images * self.config.width**0.5, words * self.config.width**0.5
+        parts = [images, words]
+        if self.pose is not None:
+            poses = camera_poses(self.config, obs)
+            parts.append(self.pose(poses.reshape(*poses.shape[:2], 16)))
+        parts.append(self.state(state)[:, None])
+        x = jnp.concatenate([p.astype(self.config.dtype) for p in parts], 1)
+        return self._read(x)
+
+    def velocity(self, prefix: Prefix, x: jax.Array, time: jax.Array) -> jax.Array:
+        """Velocities at noisy actions [B, T, W] and times [B], float32 [B, T, W]."""
+        x = self.action_in(x)
+        time = time_embedding(time, x.shape[-1]).astype(x.dtype)
+        x = jnp.concatenate([x, jnp.broadcast_to(time[:, None], x.shape)], -1)
+        x = self.time_out(jax.nn.silu(self.time_in(x)))
+        for i, (layer, context) in enumerate(zip(self.expert, prefix, strict=True)):
+            step = _cross_layer if self.config.crosses(i) else _joint_layer
+            x = self._remat(functools.partial(step, layer))(x, context)
+        return self.action_out(self.norm(x).astype(jnp.float32))
+
+    def _read(self, x: jax.Array) -> Prefix:
+        positions = np.arange(x.shape[1])
+        # The state, the last token, is a block of its own; before it everyone sees everyone.
+        mask = np.tri(len(positions), dtype=bool)
+        if self.config.mask == "blocks":
+            mask[:-1, :-1] = True
+
+        def step(layer: Layer, x: jax.Array) -> tuple[jax.Array, KeyValue]:
+            y = layer.norm1(x)
+            context = layer.keys_values(y, positions)
+            return layer.attend(x, layer.queries(y, positions), context, mask), context
+
+        prefix = []
+        for i, (layer, reader) in enumerate(zip(self.text, self.expert, strict=True)):
+            x, context = self._remat(functools.partial(step, layer))(x)
+            prefix.append(reader.read(context) if self.config.crosses(i) else context)
+        return prefix
+
+    def _images(self, obs: Obs) -> jax.Array:
+        """Tokens of every picture, [B * V, tokens, width]."""
+        config = self.config
+        pictures = obs["image"].reshape(-1, *obs["image"].shape[2:])
+        x = pictures.astype(jnp.float32) / 127.5 - 1
+        shape = (x.shape[0], config.image_size, config.image_size, 3)
+        # Bilinear as PyTorch's interpolation is: half-pixel centres, nothing filtered.
+        x = jax.image.resize(x, shape, "bilinear", antialias=False)
+        x = self.vision(x.astype(config.dtype), self._remat)
+        if self.fusion is not None:
+            authors = config.ray_convention == "authors"
+            rays = grid_rays(config, obs, *pictures.shape[1:3], authors=authors)
+            # The authors scale all nine channels alike.
+            x = self.fusion(x, (2 * rays - 1).astype(config.dtype))
+        grid = self.vision.grid
+        x = space_to_depth(x.reshape(-1, grid, grid, x.shape[-1]), config.shuffle)
+        return self.connector(x.reshape(x.shape[0], -1, x.shape[-1]))
+
+    def _remat(self, layer: Callable) -> Callable:
+        return jax.checkpoint(layer) if self.config.remat else layer
+
+
+def _joint_layer(layer: Layer, x: jax.Array, context: KeyValue) -> jax.Array:
+    """Actions attend to the prefix and to the actions before them."""
+    past, count = context.key.shape[1], x.shape[1]
+    positions = past + np.arange(count)
+    y = layer.norm1(x)
+    own = layer.keys_values(y, positions)
+    whole = KeyValue(*(jnp.concatenate(pair, 1) for pair in zip(context, own, strict=True)))
+    mask = np.concatenate([np.ones((count, past), bool), np.tri(count, dtype=bool)], 1)
+    return layer.attend(x, layer.queries(y, positions), whole, mask)
+
+
+def _cross_layer(layer: Layer, x: jax.Array, context: KeyValue) -> jax.Array:
+    """Actions attend to the prefix only; their positions start at 0."""
+    query = layer.queries(layer.norm1(x), np.arange(x.shape[1]))
+    return layer.attend(x, query, context, None)
