@@ -8,12 +8,15 @@ loader reads the folder (`tests/golden/check_lerobot.py`). Beside what every LeR
 those for robot states and normalise every number of a pose by itself.
 """
 
+from importlib import import_module
+
 from jaxcam.config import LerobotConfig
 from jaxcam.errors import DatasetError, run_main
 from jaxcam.fields import cli
 
 if __name__ == "__main__":
     cli(LerobotConfig)  # --help and bad flags are answered before the slow imports
+    run_main(lambda: import_module("jaxcam.lerobot_format"))  # and whether pyarrow is missing
 
 import os
 import shutil
