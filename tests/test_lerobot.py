@@ -21,7 +21,7 @@ from jaxcam.config import LerobotConfig
 from jaxcam.data import make_dataset
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.lerobot import export
-from jaxcam.lerobot_format import Writer, feature, stats_of, video_feature
+from jaxcam.lerobot_format import Writer, _column, feature, stats_of, video_feature
 
 PIXELS = 24
 SCALARS = {"timestamp", "frame_index", "episode_index", "index", "task_index"}
@@ -227,10 +227,11 @@ def test_files_that_grow_too_large_are_followed_by_others(tmp_path, monkeypatch)
     assert not list(tmp_path.rglob("*.part"))
 
 
-def test_statistics_of_a_column_of_matrices():
-    values = np.random.default_rng(0).normal(size=(7, 4, 4))
+def test_a_column_of_matrices():
+    values = np.random.default_rng(0).normal(size=(7, 3, 4))
     stats = stats_of(values)
-    assert stats["q99"].shape == (4, 4)
+    assert stats["q99"].shape == (3, 4)
+    assert _column(values).to_pylist() == values.tolist()
     np.testing.assert_allclose(stats["std"], values.std(0))
 
 
