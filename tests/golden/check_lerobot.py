@@ -1,13 +1,13 @@
 """Read an exported dataset with LeRobot's own loader and hold it against what it was made from.
 
 LeRobot brings PyTorch and other versions of most packages, so it lives in an environment of its
-own and this check is run by hand (last with LeRobot 0.4.4: the newest that Python 3.11 can have)::
+own and this check is run by hand; last with LeRobot 0.4.4 (Python 3.11) and 0.6.1 (Python 3.12)::
 
     python -m jaxcam.collect --demos 6 --validation 2
     python -m jaxcam.lerobot data/lift-randomized-n3m1-6+2-seed0.hdf5 out --resolution 96 \
         --action-space eef_abs
-    python3.11 -m venv lerobot-env
-    lerobot-env/bin/pip install lerobot==0.4.4 h5py
+    python3.12 -m venv lerobot-env
+    lerobot-env/bin/pip install 'lerobot[dataset]==0.6.1' h5py
     lerobot-env/bin/python tests/golden/check_lerobot.py out \
         data/lift-randomized-n3m1-6+2-seed0.hdf5 data/frames/lift-*-96px-*.npy
 
