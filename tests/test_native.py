@@ -118,7 +118,9 @@ def test_a_diverging_world_is_flagged_and_the_others_go_on(
     lift, scene, start, batch, tmp_path, monkeypatch, caplog, bad
 ):
     monkeypatch.chdir(tmp_path)
-    engine = NativeEngine(scene, varied=lift.varied, threads=1)  # one group: worlds step together
+    engine = NativeEngine(
+        scene, varied=lift.varied, threads=1
+    )  # so that they share what goes wrong
     states = run(engine, lift, scene, start, spoil=(5, bad))
     assert states[5].ok.all()
     others = [0, 2, 3]
@@ -132,6 +134,25 @@ def test_a_diverging_world_is_flagged_and_the_others_go_on(
         same(again, before)
     assert "QVEL at DOF 3" in caplog.text
     assert not list(tmp_path.iterdir())  # where MuJoCo would write its own log
+
+
+def test_when_all_diverge_the_batch_is_still_there(lift, scene, start):
+    engine = NativeEngine(scene, varied=lift.varied)
+    states = run(engine, lift, scene, rows(start, [0, 1]))
+    states[-1].qvel[:] = np.nan
+    after = engine.step(states[-1], Command(np.ones((2, 6)), np.ones(2)))
+    assert not after.ok.any()
+    same(engine.step(after, Command(np.ones((2, 6)), np.ones(2))), after)
+
+
+def test_more_worlds_than_go_together(lift, scene, start, batch):
+    """The same worlds again and again, in different company."""
+    many = np.tile(np.arange(4), 20)[:75]
+    engine = NativeEngine(scene, varied=lift.varied, threads=1)
+    active = np.random.default_rng(0).random(75) < 0.8
+    states = run(engine, lift, scene, rows(start, many), active)
+    for part, four in zip(states, batch, strict=True):
+        np.testing.assert_array_equal(part.qpos[active], four.qpos[many[active]])
 
 
 def test_a_command_that_is_no_number_is_flagged(lift, scene, start, batch):
@@ -178,7 +199,7 @@ def test_cube_size_decides_mass_and_where_it_rests(lift, scene):
     rest = state.qpos[:, scene.qpos_of("cube") + 2] - TABLE_TOP
     np.testing.assert_allclose(rest, half[:, 2], atol=3e-4)
     for i, h in enumerate(half):
-        cube = engine._groups[0]._batch.get_model(i).body("cube_main")
+        cube = engine._shares[0]._batch.get_model(i).body("cube_main")
         full = 2 * h
         mass = scene.physics.body("cube_main").mass[0] * full.prod() / 0.042**3
         np.testing.assert_allclose(cube.mass[0], mass, rtol=1e-6)

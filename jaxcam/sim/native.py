@@ -16,9 +16,9 @@ from jaxcam.sim.controllers import ArmState
 from jaxcam.sim.engine import Command, ControllerName, Engine, Start, State
 from jaxcam.sim.scene import Scene
 
-_GROUP = 24
-"""Worlds that go through a control step together: few enough that their data stays in a core's
-cache, enough to share the controller's fixed cost."""
+_TOGETHER = 32
+"""Worlds that go through a control step together, at most: few enough that their data stays in a
+core's cache, enough to share the fixed cost of the controller."""
 _BAD = [
     int(mujoco.mjtWarning.mjWARN_BADQPOS),
     int(mujoco.mjtWarning.mjWARN_BADQVEL),
@@ -31,9 +31,9 @@ _VELOCITY = mujoco.mjtStage.mjSTAGE_VEL.value
 class NativeEngine(Engine):
     """Steps worlds with MuJoCo's `Batch`, and a controller batched over worlds between the steps.
 
-    Worlds are split into groups; a thread takes a group through all substeps of a control step. The
-    physics releases the GIL, so one group's controller runs beside another's physics. The
-    controller runs at every substep, as robosuite's does.
+    Each thread owns a contiguous share of the batch and takes it, some worlds at a time, through
+    all substeps of a control step. The physics releases the GIL, so one thread's controller runs
+    beside another's physics. The controller runs at every substep, as robosuite's does.
 
     Args:
         scene: whose physics model is stepped.
@@ -60,7 +60,7 @@ class NativeEngine(Engine):
         self._pool = ThreadPoolExecutor(self._threads)
         self._varied = [scene.physics.geom(name).id for name in varied]
         self._limits = scene.physics.actuator_ctrlrange[scene.arm].T
-        self._groups: list[_Group] = []
+        self._shares: list[_Share] = []
         self._places: list[slice] = []
 
     def reset(self, start: Start) -> State:
@@ -78,12 +78,12 @@ class NativeEngine(Engine):
             grip_rotation=np.empty((count, 3, 3)),
             ok=np.ones(count, bool),
         )
-        for group, place in zip(self._groups, self._places, strict=True):
+        for share, place in zip(self._shares, self._places, strict=True):
             part = State(*(x[place] for x in state))
-            group.resize(self._varied, start.geom_size[place])
+            share.resize(self._varied, start.geom_size[place])
             everyone = np.arange(len(part.ok))
-            group.load(everyone, part, afresh=True)
-            group.store(everyone, part)
+            share.load(everyone, part, afresh=True)
+            share.store(everyone, part)
         return state
 
     def step(self, state: State, command: Command, active: np.ndarray | None = None) -> State:
@@ -97,42 +97,43 @@ class NativeEngine(Engine):
         work = [
             self._pool.submit(
                 self._advance,
-                group,
+                share,
                 State(*(x[place] for x in new)),
                 target[place],
                 np.flatnonzero(run[place]),
             )
-            for group, place in zip(self._groups, self._places, strict=True)
-            if run[place].any()
+            for share, place in zip(self._shares, self._places, strict=True)
         ]
         for done in work:
             done.result()
         return new
 
     def _split(self, count: int) -> None:
-        """Makes groups for `count` worlds, as many for each thread."""
-        each = -(-count // (self._threads * _GROUP))
-        edges = np.linspace(0, count, min(count, each * self._threads) + 1).astype(int).tolist()
+        """Shares out `count` worlds."""
+        edges = np.linspace(0, count, min(count, self._threads) + 1).astype(int).tolist()
         self._places = [slice(*ends) for ends in itertools.pairwise(edges)]
-        self._groups = [_Group(self.scene, place.stop - place.start) for place in self._places]
+        self._shares = [_Share(self.scene, place.stop - place.start) for place in self._places]
 
-    def _advance(self, group: "_Group", state: State, target: np.ndarray, rows: np.ndarray) -> None:
-        """Runs `rows` of a group through one control step, in place."""
-        group.load(rows, state, afresh=False)
-        goal = self._goal(target[rows], state.rest[rows])
-        alive = rows
+    def _advance(self, share: "_Share", state: State, target: np.ndarray, rows: np.ndarray) -> None:
+        """Runs `rows` of a share through one control step, in place."""
+        for together in np.array_split(rows, -(-len(rows) // _TOGETHER) or 1):
+            goal = self._goal(target[together], state.rest[together])
+            share.load(together, state, afresh=False)
+            self._substeps(share, together, goal)
+            share.store(together, state)
+
+    def _substeps(self, share: "_Share", rows: np.ndarray, goal: tuple[np.ndarray, ...]) -> None:
         for _ in range(self.substeps):
             try:
-                torque = self._torque(group.read(alive), *goal)
+                torque = self._torque(share.read(rows), *goal)
             except np.linalg.LinAlgError:
                 # MuJoCo puts a world that diverges to its zero pose, where the arm is singular.
-                sound = ~group.diverged(alive)
+                sound = ~share.diverged(rows)
                 if sound.all():
                     raise
-                alive, goal = alive[sound], tuple(x[sound] for x in goal)
-                torque = self._torque(group.read(alive), *goal)
-            group.step(alive, np.clip(torque, *self._limits))
-        group.store(rows, state)
+                rows, goal = rows[sound], tuple(x[sound] for x in goal)
+                torque = self._torque(share.read(rows), *goal)
+            share.step(rows, np.clip(torque, *self._limits))
 
     def _goal(self, target: np.ndarray, rest: np.ndarray) -> tuple[np.ndarray, ...]:
         """What the controller is asked for, as the arguments behind the arm's state."""
@@ -146,8 +147,8 @@ class NativeEngine(Engine):
         return controllers.osc_pose(arm, *goal)
 
 
-class _Group:
-    """Worlds that step together, between calls always computed up to the velocity stage."""
+class _Share:
+    """The worlds of one thread, between calls always computed up to the velocity stage."""
 
     def __init__(self, scene: Scene, count: int) -> None:
         model = self._model = scene.physics
@@ -220,9 +221,8 @@ class _Group:
 
     def step(self, rows: np.ndarray, torque: np.ndarray) -> None:
         """Advances worlds one substep."""
-        pick = self._pick(rows)
-        self._ctrl[pick, self._arm] = torque
-        self._batch.step(None if isinstance(pick, slice) else pick, stage=_VELOCITY)
+        self._ctrl[self._pick(rows), self._arm] = torque
+        self._batch.step(rows, stage=_VELOCITY)
 
     def diverged(self, rows: np.ndarray) -> np.ndarray:
         """Which worlds MuJoCo has warned of since they were loaded."""
@@ -237,8 +237,10 @@ class _Group:
         state.ok[rows] = ~self.diverged(rows) & np.isfinite(state.qpos[rows]).all(-1)
 
     def _pick(self, rows: np.ndarray) -> np.ndarray | slice:
-        """Index of worlds: all of them need no copy."""
-        return slice(None) if len(rows) == len(self._ctrl) else rows
+        """Index of worlds, ascending: neighbours need no copy."""
+        if len(rows) and rows[-1] - rows[0] == len(rows) - 1:
+            return slice(int(rows[0]), int(rows[-1]) + 1)
+        return rows
 
 
 def _full_from_sparse(model: mujoco.MjModel) -> np.ndarray:
