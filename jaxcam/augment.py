@@ -1,20 +1,23 @@
-"""Random crops of image and camera together.
+"""Crops of image and camera together.
 
 This is the only door through which pictures change, and it moves K with the pixels, so a ray-map
 computed afterwards belongs to the picture that the policy sees (paper, section V-A3).
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 
-from jaxcam.state import Batch
+Batch = dict[str, Any]
+"""Arrays by name."""
 
 
 def random_crop(batch: Batch, key: jax.Array, *, smallest: float) -> Batch:
     """Crops a random square of every picture and resizes it back, K moving along.
 
     Args:
-        batch: with `image` [B, V, H, W, 3] and `K` [B, V, 3, 3].
+        batch: with `image` [..., H, W, 3] and `K` [..., 3, 3].
         key: every picture draws its own side and corner from it.
         smallest: least side of the square as a share of the picture; the side is uniform in
             [smallest, 1]. 1 leaves the batch as it is.
@@ -25,7 +28,7 @@ def random_crop(batch: Batch, key: jax.Array, *, smallest: float) -> Batch:
     if smallest >= 1:
         return batch
     image, K = batch["image"], batch["K"]
-    lead, (height, width) = image.shape[:2], image.shape[2:4]
+    *lead, height, width, _ = image.shape
     side_key, corner_key = jax.random.split(key)
     scale = jax.random.uniform(side_key, lead, minval=smallest, maxval=1.0)
     corner = jax.random.uniform(corner_key, (*lead, 2))
@@ -33,12 +36,40 @@ def random_crop(batch: Batch, key: jax.Array, *, smallest: float) -> Batch:
     # Whole pixels, so that the nearest pixel is the exact sample and K exact too.
     side = jnp.round(scale[..., None] * size)
     corner = jnp.floor(corner * (size - side + 1))
-    cropped = jax.vmap(jax.vmap(_crop))(image, corner, side)
+    crop = jnp.vectorize(_crop, signature="(h,w,c),(k),(k)->(h,w,c)")
+    cropped = crop(image, corner, side)
     zoom = size / side
     # x' = (x - left) * zoom for image coordinates, whose corner is (0, 0).
     shift = jnp.zeros_like(K).at[..., 0, 2].set(corner[..., 1]).at[..., 1, 2].set(corner[..., 0])
     factor = jnp.stack([zoom[..., 1], zoom[..., 0], jnp.ones(lead)], -1)[..., None]
     return {**batch, "image": cropped, "K": (K - shift) * factor}
+
+
+def window(batch: Batch, side: int, key: jax.Array | None) -> Batch:
+    """Cuts a square out of every picture, K moving along.
+
+    Args:
+        batch: with `image` [..., H, W, 3] and `K` [..., 3, 3].
+        side: of the square in pixels.
+        key: every picture draws its own corner from it; without it the middle is cut out.
+
+    Returns:
+        `image` and `K` alone.
+    """
+    image, K = batch["image"], batch["K"]
+    *lead, height, width, _ = image.shape
+    room = jnp.array([height - side, width - side])
+    corner = jnp.broadcast_to(jnp.round(room / 2), (*lead, 2))
+    if key is not None:
+        corner = jnp.floor(jax.random.uniform(key, (*lead, 2)) * (room + 1))
+
+    def cut(image: jax.Array, corner: jax.Array) -> jax.Array:
+        start = (corner[0], corner[1], 0)
+        return jax.lax.dynamic_slice(image, start, (side, side, image.shape[-1]))
+
+    cut_all = jnp.vectorize(cut, signature="(h,w,c),(k)->(s,s,c)")
+    shift = jnp.zeros_like(K).at[..., 0, 2].set(corner[..., 1]).at[..., 1, 2].set(corner[..., 0])
+    return {"image": cut_all(image, corner.astype(jnp.int32)), "K": K - shift}
 
 
 def _crop(image: jax.Array, corner: jax.Array, side: jax.Array) -> jax.Array:

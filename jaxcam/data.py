@@ -64,18 +64,31 @@ class Dataset:
             stats[f"{name}_min"], stats[f"{name}_max"] = values.min(0), values.max(0)
         return {k: v.astype(np.float32) for k, v in stats.items()}
 
-    def batch(self, demo: np.ndarray, t: np.ndarray, views: np.ndarray, chunk: int) -> Batch:
-        """The samples that start at step `t` [B] of `demo` [B], seen by cameras `views` [B, V]."""
-        steps = t[:, None] + np.arange(chunk)
-        is_pad = steps >= self.lengths[demo][:, None]
-        where = demo[:, None], np.minimum(steps, self.actions.shape[1] - 1)
-        rows = self.frames.at(demo[:, None], t[:, None], views)
+    def batch(
+        self, demo: np.ndarray, t: np.ndarray, views: np.ndarray, chunk: int, obs_steps: int = 1
+    ) -> Batch:
+        """The samples of step `t` [B] of `demo` [B], seen by cameras `views` [B, V].
+
+        With more than one observation step S, observations are of the S steps up to `t`, as a
+        second axis (the first one repeated before the start), and chunks begin at the oldest.
+        """
+        steps = t[:, None] + np.arange(chunk) - (obs_steps - 1)
+        is_pad = (steps < 0) | (steps >= self.lengths[demo][:, None])
+        where = demo[:, None], np.clip(steps, 0, self.actions.shape[1] - 1)
+        seen = np.maximum(t[:, None] + np.arange(1 - obs_steps, 1), 0)
+        rows = self.frames.at(demo[:, None, None], seen[..., None], views[:, None])
         cameras = np.stack([self.windows[d][v] for d, v in zip(demo, views, strict=True)])
-        return {
+        poses = np.broadcast_to(self.base_from_camera[cameras][:, None], (*rows.shape, 4, 4))
+        observed = {
             "image": self.frames.pictures[rows],
             "K": np.broadcast_to(self.K, (*rows.shape, 3, 3)).astype(np.float32),
-            "base_from_camera": self.base_from_camera[cameras],
-            "proprio": self.proprio[demo, t],
+            "base_from_camera": poses,
+            "proprio": self.proprio[demo[:, None], seen],
+        }
+        if obs_steps == 1:
+            observed = {name: values[:, 0] for name, values in observed.items()}
+        return {
+            **observed,
             "action": np.where(is_pad[..., None], 0, self.actions[where]),
             "keyframe": np.where(is_pad[..., None], 0, self.keyframes[where]),
             "is_pad": is_pad,
@@ -109,14 +122,14 @@ class Dataset:
         )
         return order, t, cameras
 
-    def validation(self, chunk: int, views: int, per_demo: int = 16) -> Batch:
+    def validation(self, chunk: int, views: int, obs_steps: int = 1, per_demo: int = 16) -> Batch:
         """A fixed batch: evenly spaced steps of every validation demonstration."""
         demos = np.arange(self.train, len(self.lengths)).repeat(per_demo)
         t = np.concatenate(
             [np.linspace(0, n - 1, per_demo).astype(int) for n in self.lengths[self.train :]]
         )
         cameras = np.tile(np.arange(views) % len(self.windows[-1]), (len(demos), 1))
-        return self.batch(demos, t, cameras, chunk)
+        return self.batch(demos, t, cameras, chunk, obs_steps)
 
 
 def make_dataset(
@@ -185,13 +198,13 @@ def stacked_batches(
         last: step to stop before.
         per_call: steps stacked on the first axis.
         batch: samples a step.
-        **sizes: `views` and `chunk`.
+        **sizes: `views`, `chunk` and, if there are several, `obs_steps`.
     """
-    views, chunk = sizes["views"], sizes["chunk"]
+    views, chunk, obs_steps = sizes["views"], sizes["chunk"], sizes.get("obs_steps", 1)
 
     def make(step: int) -> Batch:
         parts = [
-            dataset.batch(*dataset.index(seed, step + k, batch, views), chunk)
+            dataset.batch(*dataset.index(seed, step + k, batch, views), chunk, obs_steps)
             for k in range(per_call)
         ]
         return {key: np.stack([p[key] for p in parts]) for key in parts[0]}

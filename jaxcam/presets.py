@@ -10,8 +10,8 @@ _TASKS = tuple(sorted(p.stem for p in Path(__file__).parent.glob("sim/tasks/[a-z
 NAMES: dict[str, tuple[str, ...]] = {
     "task": _TASKS,
     "scene": ("fixed", "randomized"),
-    "policy": ("act",),
-    "preset": ("auto", "laptop", "paper"),
+    "policy": ("act", "diffusion"),
+    "preset": ("auto", "laptop", "paper", "lerobot", "original"),
     "conditioning": ("none", "token", "early", "late", "keypoints"),
     "action_space": (
         "eef_delta",
@@ -35,7 +35,9 @@ USUAL: dict[str, Any] = {
 }  # fmt: skip
 
 # The values a preset gives. The paper's come from the authors' released run settings; an epoch of
-# theirs is 3 updates, and they evaluate and save every 1000 epochs.
+# theirs is 3 updates, and they evaluate and save every 1000 epochs. Those of original are the
+# repositories' (2000 epochs of 200 demonstrations for ACT, about 3000 for Diffusion Policy), those
+# of lerobot the defaults of its version 0.4.4.
 PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     ("act", "paper"): {
         "conditioning": "late", "precision": "bfloat16", "resolution": 256,
@@ -43,10 +45,47 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
         "schedule": "constant", "warmup": 0, "crop_min": 0.8,
         "log_every": 50, "eval_every": 3000, "save_every": 3000, "steps_per_call": 10,
     },
+    ("act", "lerobot"): {
+        "conditioning": "none", "precision": "float32", "resolution": 256,
+        "steps": 100_000, "batch": 8, "lr": 1e-5, "weight_decay": 1e-4, "clip_norm": 10.0,
+        "schedule": "constant", "warmup": 0, "crop_min": 1.0,
+        "log_every": 200, "eval_every": 20_000, "save_every": 20_000, "steps_per_call": 10,
+    },
+    ("act", "original"): {
+        "conditioning": "none", "precision": "float32", "resolution": 480,
+        "steps": 50_000, "batch": 8, "lr": 1e-5, "weight_decay": 1e-4, "clip_norm": 0.0,
+        "schedule": "constant", "warmup": 0, "crop_min": 1.0,
+        "log_every": 50, "eval_every": 2500, "save_every": 2500, "steps_per_call": 10,
+    },
     ("act", "laptop"): {
         "conditioning": "keypoints", "precision": "float32", "resolution": 84,
         "steps": 4000, "batch": 64, "lr": 1e-3, "weight_decay": 1e-4,
         "schedule": "cosine", "warmup": 200, "crop_min": 0.8,
+        "log_every": 50, "eval_every": 500, "save_every": 500, "steps_per_call": 10,
+    },
+    ("diffusion", "paper"): {
+        "conditioning": "early", "precision": "bfloat16", "resolution": 256,
+        "steps": 300_000, "batch": 70, "lr": 2e-5, "weight_decay": 1e-4,
+        "schedule": "constant", "warmup": 0, "crop_min": 0.8,
+        "log_every": 50, "eval_every": 6000, "save_every": 6000, "steps_per_call": 10,
+    },
+    ("diffusion", "lerobot"): {
+        "conditioning": "none", "precision": "float32", "resolution": 96,
+        "steps": 100_000, "batch": 64, "lr": 1e-4, "weight_decay": 1e-6, "clip_norm": 10.0,
+        "optimizer": "adam", "beta1": 0.95, "schedule": "cosine", "warmup": 500, "crop_min": 1.0,
+        "log_every": 200, "eval_every": 20_000, "save_every": 20_000, "steps_per_call": 10,
+    },
+    ("diffusion", "original"): {
+        "conditioning": "none", "precision": "float32", "resolution": 84,
+        "steps": 450_000, "batch": 64, "lr": 1e-4, "weight_decay": 1e-6, "clip_norm": 0.0,
+        "beta1": 0.95, "schedule": "cosine", "warmup": 500, "crop_min": 1.0,
+        "ema": 0.9999, "ema_power": 0.75,
+        "log_every": 150, "eval_every": 7500, "save_every": 7500, "steps_per_call": 10,
+    },
+    ("diffusion", "laptop"): {
+        "conditioning": "keypoints", "precision": "float32", "resolution": 84,
+        "steps": 4000, "batch": 64, "lr": 1e-3, "weight_decay": 1e-4,
+        "schedule": "cosine", "warmup": 200, "crop_min": 0.8, "ema": 0.995, "ema_power": 0.75,
         "log_every": 50, "eval_every": 500, "save_every": 500, "steps_per_call": 10,
     },
 }  # fmt: skip

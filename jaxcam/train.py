@@ -114,6 +114,7 @@ def _policy(config: TrainConfig, dataset: "Dataset") -> "Policy":
         height=config.resolution,
         width=config.resolution,
         chunk=settings.chunk,
+        obs_steps=settings.obs_steps,
     )
     return make_policy(settings, spec, dataset.stats())
 
@@ -142,7 +143,10 @@ def _fit(
         policy.loss, tx, augment=crop, ema=config.ema, ema_power=config.ema_power
     )
     validation_loss = jax.jit(lambda params, batch: policy.loss(params, batch, None)[0])
-    held_out = dataset.validation(policy.spec.chunk, config.views) if config.validation else None
+    sizes = {
+        "views": config.views, "chunk": policy.spec.chunk, "obs_steps": policy.spec.obs_steps
+    }  # fmt: skip
+    held_out = dataset.validation(**sizes) if config.validation else None
     side = make_side(
         config,
         settings=policy.config,
@@ -158,7 +162,7 @@ def _fit(
         first = int(state.step)
         batches = stacked_batches(
             dataset, config.seed, first, config.steps, config.steps_per_call, config.batch,
-            views=config.views, chunk=policy.spec.chunk,
+            **sizes,
         )  # fmt: skip
         began, recent = time.perf_counter(), []
         with progress(console, "training", config.steps, done=first) as advance:

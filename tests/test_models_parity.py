@@ -7,11 +7,11 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from flax import nnx
 from policy_inputs import jit
 
 from jaxcam.models import ACT_PRESETS, PolicySpec, make_policy
 from jaxcam.models.fusion import scale_images
+from jaxcam.models.policy import pure
 from jaxcam.models.resnet import ResNet18
 
 GOLDEN = dict(np.load(Path(__file__).parent / "golden" / "act_torch.npz"))
@@ -81,8 +81,8 @@ def params(policy):
 
 
 def test_image_trunk_equals_the_torch_twin(policy, params):
-    graphdef, _ = nnx.split(nnx.eval_shape(lambda: ResNet18(3, rngs=nnx.Rngs(0), dtype=np.float32)))
-    trunk = nnx.merge(graphdef, nnx.restore_int_paths(params["vision"]["image"]))
+    _, network = pure(lambda rngs: ResNet18(3, "identity", rngs=rngs, dtype=np.float32))
+    trunk = network(params["vision"]["image"])
     features = jit(trunk)(scale_images(policy.config, GOLDEN["image"][:1, 0]))
     expected = GOLDEN["out_features"].transpose(1, 2, 0)
     np.testing.assert_allclose(features[0, ..., :64], expected, rtol=1e-4, atol=1e-5)

@@ -4,7 +4,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from jaxcam.fields import with_overrides
-from jaxcam.models import act
+from jaxcam.models import act, diffusion
 from jaxcam.models.act import ACT_PRESETS, ActConfig
 from jaxcam.models.policy import Batch, Family, Key, Obs, Params, Policy, PolicySpec, Stats
 
@@ -31,6 +31,7 @@ __all__ = [
 
 FAMILIES: dict[str, Family[Any]] = {
     "act": act.FAMILY,
+    "diffusion": diffusion.FAMILY,
 }
 """Every kind of policy by the name it has on the command line."""
 

@@ -1,6 +1,6 @@
 """ACT: action chunks from tokens of images and cameras, optionally with a variational latent."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import jax
@@ -8,9 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 from flax import nnx
 
-from jaxcam.errors import ConfigError, closest
-from jaxcam.models.fusion import Vision, VisionConfig, camera_poses, with_conditioning
+from jaxcam.errors import ConfigError
+from jaxcam.models.fusion import (
+    Vision,
+    VisionConfig,
+    camera_poses,
+    check_known,
+    with_conditioning,
+)
 from jaxcam.models.layers import dropout, linear, split_key
+from jaxcam.models.losses import PADDINGS, padded_mean
 from jaxcam.models.policy import (
     Batch,
     Family,
@@ -23,7 +30,7 @@ from jaxcam.models.policy import (
     check_sizes,
     pure,
 )
-from jaxcam.models.transformer import Decoder, Encoder, sine_table
+from jaxcam.models.transformer import Decoder, Encoder, sine_grid, sine_table
 
 
 @dataclass(frozen=True)
@@ -47,6 +54,14 @@ class ActConfig(VisionConfig):
     """Hidden width of the transformer's feed-forward layers."""
     layers: int = 4
     """Encoder layers of the transformer, or hidden layers of the perceptron."""
+    pre_norm: bool = True
+    """Whether the transformer's norms come before its layers, as in the paper, or after them."""
+    image_positions: str = "learned"
+    """Positions of image tokens: learned for every view, or the same sine table for all."""
+    learned_cls: bool = False
+    """Whether the variational encoder's first token is learned or zero."""
+    pad_head: bool = True
+    """Whether there is a head for padding, which some public weights have and nobody trains."""
     pose_tokens: int = 2
     """Least number of pose tokens; they are fed with zeros unless the conditioning is token."""
     latent_dim: int = 32
@@ -59,12 +74,16 @@ class ActConfig(VisionConfig):
     """Dropout rate in training."""
     drop_proprio: bool = True
     """Whether proprioception is replaced by zeros (before normalisation), as in the paper."""
+    action_std_floor: float = 1e-4
+    """Least deviation that actions are divided by."""
+    padding: str = "zeroed"
+    """How steps past a demonstration's end count in the loss, see `padded_mean`."""
 
     def __post_init__(self) -> None:
         """Refuse values that cannot work."""
         super().__post_init__()
-        if self.head not in (known := ("transformer", "mlp")):
-            raise ConfigError(f"Unknown head '{self.head}'{closest(str(self.head), known)}.")
+        known = {"head": ("transformer", "mlp"), "image_positions": ("learned", "sine")}
+        check_known(self, padding=PADDINGS, **known)
         if self.width % self.heads:
             raise ConfigError(f"width {self.width} is not a multiple of heads {self.heads}.")
         if self.execute < 0 or self.keyframe_weight < 0:
@@ -75,8 +94,24 @@ class ActConfig(VisionConfig):
         return spec.action_dim + 3 * (self.keyframe_weight > 0)
 
 
+_PUBLIC = ActConfig(
+    conditioning="none",
+    twin_of="none",
+    norm="frozen",
+    chunk=100,
+    hidden=3200,
+    pre_norm=False,
+    image_positions="sine",
+    learned_cls=True,
+    pose_tokens=0,
+    kl_weight=10.0,
+    drop_proprio=False,
+)
+
 ACT_PRESETS: dict[str, ActConfig] = {
     "paper": ActConfig(ray_convention="authors"),
+    "lerobot": replace(_PUBLIC, pad_head=False),
+    "original": replace(_PUBLIC, action_std_floor=1e-2),
     "laptop": ActConfig(
         conditioning="keypoints",
         twin_of="keypoints",
@@ -113,18 +148,24 @@ class LatentEncoder(nnx.Module):
             config.heads,
             config.hidden,
             config.dropout,
+            pre_norm=config.pre_norm,
             xavier=False,
             rngs=rngs,
             dtype=dtype,
         )
         self.out = linear(width, 2 * config.latent_dim, rngs=rngs, dtype=dtype)
+        draw = jax.random.normal
+        self.cls = nnx.Param(draw(rngs.params(), (1, width))) if config.learned_cls else None
 
     def __call__(
         self, proprio: jax.Array, action: jax.Array, is_pad: jax.Array, *, key: Key
     ) -> tuple[jax.Array, jax.Array]:
         """Mean and log variance, [B, latent] each; padded actions are not looked at."""
         proprio, action = self.proprio(proprio)[:, None], self.action(action)
-        x = jnp.concatenate([jnp.zeros_like(proprio), proprio, action], 1)
+        first = jnp.zeros_like(proprio)
+        if self.cls is not None:
+            first = jnp.broadcast_to(self.cls[...].astype(first.dtype), first.shape)
+        x = jnp.concatenate([first, proprio, action], 1)
         keep = jnp.pad(~is_pad, ((0, 0), (2, 0)), constant_values=True)
         position = jnp.asarray(sine_table(*x.shape[1:]), x.dtype)
         x = self.encoder(x, position, key=key, keep=keep)
@@ -151,7 +192,9 @@ class TransformerHead(nnx.Module):
         def positions(count: int) -> nnx.Param:
             return nnx.Param(jax.random.normal(rngs.params(), (count, width)))
 
-        self.image_position = positions(spec.views * vision.tokens)
+        learned = config.image_positions == "learned"
+        self.grid, self.views = vision.grid, spec.views
+        self.image_position = positions(spec.views * vision.tokens) if learned else None
         self.position = positions(poses + 1 + (latent > 0))
         self.query = positions(spec.chunk)
         self.encoder = Encoder(
@@ -160,16 +203,23 @@ class TransformerHead(nnx.Module):
             config.heads,
             config.hidden,
             config.dropout,
+            pre_norm=config.pre_norm,
             xavier=True,
             rngs=rngs,
             dtype=dtype,
         )
         self.decoder = Decoder(
-            width, config.heads, config.hidden, config.dropout, rngs=rngs, dtype=dtype
+            width,
+            config.heads,
+            config.hidden,
+            config.dropout,
+            pre_norm=config.pre_norm,
+            rngs=rngs,
+            dtype=dtype,
         )
         self.action = linear(width, config.outputs(spec), rngs=rngs, dtype=dtype)
         # In the reference models, and trained by nothing: the loss does not look at it.
-        self.is_pad = linear(width, 1, rngs=rngs, dtype=dtype)
+        self.is_pad = linear(width, 1, rngs=rngs, dtype=dtype) if config.pad_head else None
 
     def __call__(
         self, tokens: jax.Array, obs: Obs, proprio: jax.Array, latent: jax.Array, *, key: Key
@@ -185,7 +235,11 @@ class TransformerHead(nnx.Module):
         if self.latent is not None:
             parts.append(self.latent(latent)[:, None])
         x = jnp.concatenate([p.astype(dtype) for p in parts], 1)
-        position = jnp.concatenate([self.image_position[...], self.position[...]]).astype(dtype)
+        if self.image_position is None:
+            table = np.tile(sine_grid(*self.grid, self.config.width), (self.views, 1))
+        else:
+            table = self.image_position[...]
+        position = jnp.concatenate([table, self.position[...]]).astype(dtype)
         encoder_key, decoder_key = split_key(key, 2)
         memory = self.encoder(x, position, key=encoder_key)
         y = self.decoder(self.query[...].astype(dtype), memory, position, key=decoder_key)
@@ -276,18 +330,13 @@ class Act(nnx.Module):
         return out.astype(jnp.float32), kl
 
 
-def l1_loss(predicted: jax.Array, target: jax.Array, is_pad: jax.Array) -> jax.Array:
-    """Mean absolute error; padded steps count as zeros, in the mean too, as in the paper."""
-    return jnp.mean(jnp.abs(predicted - target) * ~is_pad[..., None])
-
-
-def action_scale(std: np.ndarray) -> np.ndarray:
-    """Deviations to divide actions by: at least 1e-4, the authors' floor.
+def action_scale(std: np.ndarray, floor: float) -> np.ndarray:
+    """Deviations to divide actions by: at least the floor.
 
     A floor, and not 1, for a dimension that never varies: what the network gets wrong about it
     then shrinks to nothing in raw units instead of drifting over an episode.
     """
-    return np.maximum(np.asarray(std, np.float32), 1e-4)
+    return np.maximum(np.asarray(std, np.float32), np.float32(floor))
 
 
 def proprio_scale(std: np.ndarray) -> np.ndarray:
@@ -303,7 +352,7 @@ def make_act(config: ActConfig, spec: PolicySpec, stats: Stats) -> Policy:
     """Make ACT's three functions; statistics become constants of them."""
     check_sizes(config.chunk, spec, stats)
     action_mean = np.asarray(stats["action_mean"], np.float32)
-    action_std = action_scale(stats["action_std"])
+    action_std = action_scale(stats["action_std"], config.action_std_floor)
     proprio_mean = np.asarray(stats["proprio_mean"], np.float32)
     proprio_std = proprio_scale(stats["proprio_std"])
     init, network = pure(lambda rngs: Act(config, spec, rngs=rngs))
@@ -311,6 +360,9 @@ def make_act(config: ActConfig, spec: PolicySpec, stats: Stats) -> Policy:
     def proprio(obs: Obs) -> jax.Array:
         raw = jnp.zeros_like(obs["proprio"]) if config.drop_proprio else obs["proprio"]
         return (raw - proprio_mean) / proprio_std
+
+    def l1_loss(predicted: jax.Array, target: jax.Array, is_pad: jax.Array) -> jax.Array:
+        return padded_mean(jnp.abs(predicted - target), is_pad, config.padding)
 
     def loss(params: Params, batch: Batch, key: Key) -> tuple[jax.Array, dict[str, jax.Array]]:
         target = (batch["action"] - action_mean) / action_std

@@ -13,7 +13,7 @@ those. The ways:
 """
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, ClassVar, Literal, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +24,7 @@ from jax.typing import DTypeLike
 from jaxcam.errors import ConfigError, closest
 from jaxcam.models.layers import linear
 from jaxcam.models.policy import Obs, PolicySpec
-from jaxcam.models.resnet import RayEncoder, ResNet18, SmallEncoder, SmallRayEncoder
+from jaxcam.models.resnet import NORMS, RayEncoder, ResNet18, SmallEncoder, SmallRayEncoder
 from jaxcam.rays import opengl_from_opencv, plucker
 
 CONDITIONINGS = ("none", "token", "early", "late", "keypoints")
@@ -59,6 +59,8 @@ class CameraConfig:
     """Order and pixel offset of the ray-map; keypoints always use "jaxcam"."""
     compute_dtype: str = "float32"
     """Arithmetic of the networks, float32 or bfloat16; weights and rays are always float32."""
+    obs_steps: ClassVar[int] = 1
+    """Observations the policy sees at once."""
 
     def __post_init__(self) -> None:
         """Refuse names that do not exist."""
@@ -95,14 +97,18 @@ class VisionConfig(CameraConfig):
 
     encoder: str = "resnet18"
     """Image encoder: resnet18 (stride 32) or small (stride 4, cheap on a CPU)."""
+    norm: str = "identity"
+    """Norms of the ResNet: group, or frozen batch norms with the statistics of loaded weights
+    (frozen) or with none (identity)."""
     encoder_depth: int = 2
     """Residual convolutions of the small encoder."""
     encoder_width: int = 512
     """Channels of the feature map that the encoders hand on."""
     image_scaling: str = "imagenet"
-    """Scaling of colours: imagenet (mean and deviation) or symmetric (-1 to 1)."""
+    """Scaling of colours: imagenet (mean and deviation), symmetric (-1 to 1) or unit (0 to 1)."""
     pool: str = "grid"
-    """What becomes a token: every cell of the feature map (grid), or every one of the keypoints."""
+    """What becomes a token: every cell of the feature map (grid), or every one of the keypoints
+    (keypoints), or only where these are in the image (softmax), as in Diffusion Policy."""
     keypoints: int = 32
     """Heat maps a view, when keypoints are pooled."""
     heat_gain: float = 25.0
@@ -110,7 +116,7 @@ class VisionConfig(CameraConfig):
     training spends a thousand updates on getting them away from there."""
     keypoint_features: bool = False
     """Whether a ray keypoint also carries the features under its heat map, as keypoints without
-    rays always do."""
+    rays do unless the pool is softmax."""
     lift: bool = True
     """Whether a ray keypoint also carries the point of its ray at a height the network chooses."""
 
@@ -120,14 +126,15 @@ class VisionConfig(CameraConfig):
         check_known(
             self,
             encoder=("resnet18", "small"),
-            image_scaling=("imagenet", "symmetric"),
-            pool=("grid", "keypoints"),
+            norm=NORMS,
+            image_scaling=("imagenet", "symmetric", "unit"),
+            pool=("grid", "keypoints", "softmax"),
         )
 
     @property
     def pools_keypoints(self) -> bool:
         """Whether tokens are keypoints instead of cells of the feature map."""
-        return self.pool == "keypoints" or self.network == "keypoints"
+        return self.pool != "grid" or self.network == "keypoints"
 
 
 C = TypeVar("C", bound=CameraConfig)
@@ -170,7 +177,7 @@ def scale_images(config: VisionConfig, images: jax.Array) -> jax.Array:
     if config.image_scaling == "imagenet":
         images = (images / 255 - IMAGENET_MEAN) / IMAGENET_STD
     else:
-        images = images / 127.5 - 1
+        images = images / 127.5 - 1 if config.image_scaling == "symmetric" else images / 255
     return images.astype(config.dtype)
 
 
@@ -185,13 +192,17 @@ class Keypoints(NamedTuple):
     """Expected feature vector."""
 
 
-def pool_keypoints(logits: jax.Array, rays: jax.Array, features: jax.Array) -> Keypoints:
+def pool_keypoints(
+    logits: jax.Array, rays: jax.Array, features: jax.Array, *, corners: bool = False
+) -> Keypoints:
     """Expectations under spatial softmaxes.
 
     Args:
         logits: Heat maps before the softmax, float32 [N, h, w, k].
         rays: Ray-map on the same grid, [N, h, w, 6].
         features: Feature map, [N, h, w, C].
+        corners: Whether positions of -1 and 1 are the middles of the outermost cells, as in
+            Diffusion Policy, instead of the image's edges.
 
     Returns:
         Positions, rays and features. All rays of a camera meet in its centre, so an expected (d, m)
@@ -200,7 +211,10 @@ def pool_keypoints(logits: jax.Array, rays: jax.Array, features: jax.Array) -> K
     n, h, w, k = logits.shape
     weights = jax.nn.softmax(logits.reshape(n, h * w, k), axis=1)
     x, y = (2 * np.arange(size, dtype=np.float32) + 1 for size in (w, h))
-    pixel = np.stack(np.meshgrid(x / w - 1, y / h - 1), -1).reshape(h * w, 2)
+    x, y = x / w - 1, y / h - 1
+    if corners:
+        x, y = (np.linspace(-1, 1, size, dtype=np.float32) for size in (w, h))
+    pixel = np.stack(np.meshgrid(x, y), -1).reshape(h * w, 2)
     geometry = jnp.concatenate(
         [jnp.broadcast_to(pixel, (n, h * w, 2)), rays.reshape(n, h * w, 6)], -1
     )
@@ -238,7 +252,9 @@ class KeypointPool(nnx.Module):
         self.heat_gain = config.heat_gain
         self.with_rays = config.network == "keypoints"
         self.with_lift = self.with_rays and config.lift
-        self.with_features = config.keypoint_features or not self.with_rays
+        self.corners = config.pool == "softmax"
+        plain = not self.with_rays and not self.corners
+        self.with_features = config.keypoint_features or plain
         if self.with_lift:
             self.height = linear(channels, 1, rngs=rngs, dtype=jnp.float32)
             self.height_bias = nnx.Param(jnp.zeros(config.keypoints))
@@ -247,7 +263,7 @@ class KeypointPool(nnx.Module):
     def __call__(self, features: jax.Array, rays: jax.Array) -> jax.Array:
         """Map features [N, h, w, C] and rays [N, h, w, 6] to keypoints [N, k, width], float32."""
         logits = self.heat(features).astype(jnp.float32) * self.heat_gain
-        points = pool_keypoints(logits, rays, features)
+        points = pool_keypoints(logits, rays, features, corners=self.corners)
         parts = [points.pixel]
         if self.with_rays:
             parts.append(points.ray)
@@ -278,18 +294,20 @@ class Vision(nnx.Module):
             self.rays = SmallRayEncoder(width, rngs=rngs, dtype=dtype) if late else None
             d_out = width
         else:
-            self.image = ResNet18(3 + 6 * early, rngs=rngs, dtype=dtype)
+            self.image = ResNet18(3 + 6 * early, config.norm, rngs=rngs, dtype=dtype)
             self.rays = RayEncoder(rngs=rngs, dtype=dtype) if late else None
             d_out = ResNet18.channels
         stride = self.image.stride
-        if spec.height % stride or spec.width % stride:
+        if config.encoder == "small" and (spec.height % stride or spec.width % stride):
             raise ConfigError(
                 f"Images of {spec.height}x{spec.width} do not suit the {config.encoder} encoder: "
                 f"both sides must be multiples of {stride}."
             )
-        self.grid = spec.height // stride, spec.width // stride
-        # The small encoder already ends in the wanted width; only late fusion has to mix.
-        mixes = late or config.encoder == "resnet18"
+        self.grid = -(-spec.height // stride), -(-spec.width // stride)
+        # The small encoder already ends in the wanted width; only late fusion has to mix. Diffusion
+        # Policy's heat maps are read off the ResNet as it is.
+        as_it_is = config.encoder == "small" or (config.pool == "softmax" and d_out == width)
+        mixes = late or not as_it_is
         self.mix = linear(d_out * (1 + late), width, rngs=rngs, dtype=dtype) if mixes else None
         self.pool = KeypointPool(config, rngs=rngs) if config.pools_keypoints else None
         self.tokens = self.grid[0] * self.grid[1] if self.pool is None else config.keypoints

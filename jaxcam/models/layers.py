@@ -81,6 +81,13 @@ def layer_norm(width: int, *, rngs: nnx.Rngs, dtype: DTypeLike) -> nnx.LayerNorm
     return nnx.LayerNorm(width, epsilon=1e-5, dtype=dtype, use_fast_variance=False, rngs=rngs)
 
 
+def group_norm(width: int, groups: int, *, rngs: nnx.Rngs, dtype: DTypeLike) -> nnx.GroupNorm:
+    """Group normalisation with PyTorch's epsilon; statistics are float32 whatever ``dtype`` is."""
+    return nnx.GroupNorm(
+        width, num_groups=groups, epsilon=1e-5, dtype=dtype, use_fast_variance=False, rngs=rngs
+    )
+
+
 def dropout(x: jax.Array, rate: float, key: Key) -> jax.Array:
     """Dropout that is off without a key."""
     if key is None or rate == 0.0:

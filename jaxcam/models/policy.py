@@ -42,6 +42,9 @@ class PolicySpec:
     height: int
     width: int
     chunk: int
+    obs_steps: int = 1
+    """Observations the policy sees at once. With more than one, those of the steps before come
+    first: ``image`` [B, S, V, H, W, 3] and so on, and chunks begin at the oldest one's step."""
 
 
 @dataclass(frozen=True)

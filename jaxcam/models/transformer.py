@@ -1,7 +1,11 @@
-"""Transformer layers in the pre-norm, DETR-style form of the paper's ACT.
+"""Transformer layers in the DETR-style form of ACT.
 
-Positions are added to queries and keys after the layer norm, never to values.
+Positions are added to queries and keys, never to values. Layer norms come before attention and
+feed-forward layers (pre-norm, with one more norm at the end), as in the paper's ACT, or after the
+sum with what they add to (post-norm), as in the original one.
 """
+
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +31,22 @@ def sine_table(length: int, width: int) -> np.ndarray:
     channel = np.arange(width)
     angle = np.arange(length)[:, None] / 10000 ** (2 * (channel // 2) / width)
     return np.where(channel % 2 == 0, np.sin(angle), np.cos(angle)).astype(np.float32)
+
+
+def sine_grid(height: int, width: int, channels: int) -> np.ndarray:
+    """Sine positions [height * width, channels] of an image's cells: rows first, then columns.
+
+    Each is counted from 1 and scaled to end at 2 pi; even channels sine, odd channels cosine.
+    """
+
+    def axis(length: int) -> np.ndarray:
+        channel = np.arange(channels // 2)
+        place = np.arange(1, length + 1) / (length + 1e-6) * 2 * np.pi
+        angle = place[:, None] / 10000 ** (2 * (channel // 2) / (channels // 2))
+        return np.where(channel % 2 == 0, np.sin(angle), np.cos(angle))
+
+    rows = np.repeat(axis(height), width, 0)
+    return np.concatenate([rows, np.tile(axis(width), (height, 1))], -1).astype(np.float32)
 
 
 class Attention(nnx.Module):
@@ -100,7 +120,7 @@ class FeedForward(nnx.Module):
 
 
 class EncoderLayer(nnx.Module):
-    """Self-attention and feed-forward, each on a normalised copy and added back."""
+    """Self-attention and feed-forward, each added to what it was given."""
 
     def __init__(
         self,
@@ -109,6 +129,7 @@ class EncoderLayer(nnx.Module):
         hidden: int,
         dropout_rate: float,
         *,
+        pre_norm: bool,
         xavier: bool,
         rngs: nnx.Rngs,
         dtype: DTypeLike,
@@ -121,23 +142,40 @@ class EncoderLayer(nnx.Module):
         self.feed_forward = FeedForward(
             width, hidden, dropout_rate, xavier=xavier, rngs=rngs, dtype=dtype
         )
-        self.dropout_rate = dropout_rate
+        self.dropout_rate, self.pre_norm = dropout_rate, pre_norm
 
     def __call__(
         self, x: jax.Array, position: jax.Array, *, key: Key, keep: jax.Array | None = None
     ) -> jax.Array:
         """Map tokens [B, N, D] with positions that broadcast to them."""
         keys = split_key(key, 4)
-        y = self.norm1(x)
+        before, after = _placed(self.pre_norm)
+        y = before(self.norm1, x)
         q = y + position
         y = self.attention(q, q, y, key=keys[0], keep=keep)
-        x = x + dropout(y, self.dropout_rate, keys[1])
-        y = self.feed_forward(self.norm2(x), key=keys[2])
-        return x + dropout(y, self.dropout_rate, keys[3])
+        x = after(self.norm1, x + dropout(y, self.dropout_rate, keys[1]))
+        y = self.feed_forward(before(self.norm2, x), key=keys[2])
+        return after(self.norm2, x + dropout(y, self.dropout_rate, keys[3]))
+
+
+Placed = Callable[[nnx.LayerNorm, jax.Array], jax.Array]
+
+
+def _placed(pre_norm: bool) -> tuple[Placed, Placed]:
+    """What to do with a norm before and after the layer it belongs to: one applies it."""
+
+    def apply(norm: nnx.LayerNorm, x: jax.Array) -> jax.Array:
+        return norm(x)
+
+    def skip(norm: nnx.LayerNorm, x: jax.Array) -> jax.Array:
+        del norm
+        return x
+
+    return (apply, skip) if pre_norm else (skip, apply)
 
 
 class Encoder(nnx.Module):
-    """A stack of encoder layers and a final layer norm.
+    """A stack of encoder layers, with a layer norm at the end if they are pre-norm.
 
     ``xavier`` starts every matrix with Xavier's uniform, as the paper's main transformer does; its
     variational encoder keeps PyTorch's defaults.
@@ -151,15 +189,25 @@ class Encoder(nnx.Module):
         hidden: int,
         dropout_rate: float,
         *,
+        pre_norm: bool,
         xavier: bool,
         rngs: nnx.Rngs,
         dtype: DTypeLike,
     ):
         self.layers = nnx.List(
-            EncoderLayer(width, heads, hidden, dropout_rate, xavier=xavier, rngs=rngs, dtype=dtype)
+            EncoderLayer(
+                width,
+                heads,
+                hidden,
+                dropout_rate,
+                pre_norm=pre_norm,
+                xavier=xavier,
+                rngs=rngs,
+                dtype=dtype,
+            )
             for _ in range(layers)
         )
-        self.norm = layer_norm(width, rngs=rngs, dtype=dtype)
+        self.norm = layer_norm(width, rngs=rngs, dtype=dtype) if pre_norm else None
 
     def __call__(
         self, x: jax.Array, position: jax.Array, *, key: Key, keep: jax.Array | None = None
@@ -167,7 +215,7 @@ class Encoder(nnx.Module):
         """Map tokens [B, N, D]; ``keep`` [B, N] is False at tokens nobody may attend to."""
         for layer, layer_key in zip(self.layers, split_key(key, len(self.layers)), strict=True):
             x = layer(x, position, key=layer_key, keep=keep)
-        return self.norm(x)
+        return x if self.norm is None else self.norm(x)
 
 
 class Decoder(nnx.Module):
@@ -183,6 +231,7 @@ class Decoder(nnx.Module):
         hidden: int,
         dropout_rate: float,
         *,
+        pre_norm: bool,
         rngs: nnx.Rngs,
         dtype: DTypeLike,
     ):
@@ -198,7 +247,7 @@ class Decoder(nnx.Module):
             width, hidden, dropout_rate, xavier=True, rngs=rngs, dtype=dtype
         )
         self.norm = layer_norm(width, rngs=rngs, dtype=dtype)
-        self.dropout_rate = dropout_rate
+        self.dropout_rate, self.pre_norm = dropout_rate, pre_norm
 
     def __call__(
         self, query: jax.Array, memory: jax.Array, position: jax.Array, *, key: Key
@@ -206,12 +255,14 @@ class Decoder(nnx.Module):
         """Read ``memory`` [B, M, D] at the learned ``query`` positions [T, D]."""
         keys = split_key(key, 6)
         rate = self.dropout_rate
+        before, after = _placed(self.pre_norm)
         x = jnp.zeros((memory.shape[0], *query.shape), memory.dtype)
-        y = self.norm1(x)
+        y = before(self.norm1, x)
         q = y + query
-        x = x + dropout(self.self_attention(q, q, y, key=keys[0]), rate, keys[1])
-        y = self.norm2(x) + query
+        y = self.self_attention(q, q, y, key=keys[0])
+        x = after(self.norm1, x + dropout(y, rate, keys[1]))
+        y = before(self.norm2, x) + query
         y = self.cross_attention(y, memory + position, memory, key=keys[2])
-        x = x + dropout(y, rate, keys[3])
-        y = self.feed_forward(self.norm3(x), key=keys[4])
-        return self.norm(x + dropout(y, rate, keys[5]))
+        x = after(self.norm2, x + dropout(y, rate, keys[3]))
+        y = self.feed_forward(before(self.norm3, x), key=keys[4])
+        return self.norm(after(self.norm3, x + dropout(y, rate, keys[5])))
