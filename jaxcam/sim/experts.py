@@ -16,8 +16,8 @@ STEP = 0.02
 """Longest way (m) that a set-point moves in one control step (authors' code)."""
 EASE = 0.35
 """Share of the way left that a set-point moves in one control step, when that is shorter."""
-TURN = 0.2
-"""Largest turn (rad) of a set-point in one control step (authors' code, Can and Square)."""
+TURN = 0.06
+"""Largest turn (rad) of a set-point in one control step; faster, the arm swings (authors: 0.2)."""
 STRAY_STEPS = (2, 6)
 """Control steps for which a set-point strays, from and below."""
 AIMED = 0.1
@@ -26,6 +26,9 @@ PATIENCE = 80
 """Control steps after which a move is given up."""
 
 
+LEVEL, LEAN = 0.58, 1.0
+"""Distance (m) from the robot's base at which a hand points straight down, and the angle (rad) by
+which it leans away per metre beyond."""
 INSIDE, SLOPE = 0.012, 4.0
 """Of a funnel: distance to the side (m) within which a hand goes all the way down, and the height
 of the wall over the distance from there."""
@@ -43,16 +46,24 @@ def funnel(
     return float(np.clip(low + slope * (aside - inside), low, high))
 
 
-def upright(rotation: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """Grip axes [3, 3] that point straight down and close along a horizontal `axis` [3].
+def easy_grip(base: np.ndarray, at: np.ndarray, close: np.ndarray) -> np.ndarray:
+    """Grip axes [3, 3] of a hand that points down and closes along a horizontal direction.
 
-    Of the two, half a turn apart, those nearer to `rotation`: so joints keep off their limits.
+    The hand leans a little about that direction, towards the robot when near to it and away when
+    far: so it is within reach, and out of line with the forearm, where the arm swings.
+
+    Args:
+        base: position of the robot's base (m) [3].
+        at: where the grip is (m) [3].
+        close: the direction [3].
     """
-    close = np.array([*axis[:2], 0.0]) / np.linalg.norm(axis[:2])
-    if close @ rotation[:, 0] < 0:
-        close = -close
-    down = np.array([0.0, 0.0, -1.0])
-    return np.stack([close, np.cross(down, close), down], -1)
+    out = (at - base)[:2]
+    distance = np.linalg.norm(out)
+    x, y = close[:2] / np.linalg.norm(close[:2])
+    lean = LEAN * (distance - LEVEL) * (out @ [y, -x]) / distance
+    across = np.array([x, y, 0.0])
+    down = np.array([np.sin(lean) * y, -np.sin(lean) * x, -np.cos(lean)])
+    return np.stack([across, np.cross(down, across), down], -1)
 
 
 class Hand:
@@ -75,6 +86,7 @@ class Hand:
         *,
         tolerance: float,
         turn: Callable[[], np.ndarray] | None = None,
+        trim: float = 0.0,
         stray: float = 0.0,
     ) -> Iterator[Aim]:
         """Moves towards a goal (m, world), which may move, until the grip is within `tolerance`.
@@ -87,12 +99,16 @@ class Hand:
             gripper: sign of the gripper's command.
             tolerance: distance (m) between grip and goal at which the move ends.
             turn: grip axes [3, 3] to turn to meanwhile, to within `AIMED`; none keeps them.
+            trim: share of what the arm, whose joints stick, stays behind by which the set-point
+                goes on per step, once it is there itself.
             stray: chance per step to stray for a moment in a random direction. Corrections of
                 such errors are what a policy must be shown to recover from its own.
         """
-        rng, astray, drift = self._sight.rng, 0, np.zeros(3)
+        rng, astray, drift, extra = self._sight.rng, 0, np.zeros(3), np.zeros(3)
         for _ in range(PATIENCE):
-            left = goal() - self._point
+            left = goal() + extra - self._point
+            if trim and np.linalg.norm(left) < STEP / 2:
+                extra = extra + trim * (goal() - self._sight.grip_position)
             move = left * min(EASE, STEP / max(np.linalg.norm(left), 1e-9))
             if stray and not astray and rng.random() < stray:
                 astray = int(rng.integers(*STRAY_STEPS))

@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxcam.rotations import Array, array_namespace
 from jaxcam.sim.engine import Start, State
-from jaxcam.sim.experts import CLOSE, OPEN, Hand, funnel
+from jaxcam.sim.experts import CLOSE, OPEN, Hand, easy_grip, funnel
 from jaxcam.sim.scene import TABLE_TOP, CanObject, CanVisualObject, Scene, prism
 from jaxcam.sim.task import Aim, Sight, Task
 
@@ -24,8 +24,8 @@ LOW = 0.1
 GRASP, HOVER, CARRY = 0.020, 0.12, 0.08
 """The expert's heights (m): the grip over the can's centre at the grasp and, at most, on the way
 there, and the lifted can over where it is to stand."""
-GAP = 0.002
-"""Height (m) of the can over the table at which the expert lets go."""
+PRESS = 0.004
+"""How far (m) below the table the expert lowers the can towards, so that it stands when let go."""
 
 
 class PickPlaceCan(Task):
@@ -63,7 +63,7 @@ class PickPlaceCan(Task):
     def expert(self, scene: Scene, sight: Sight) -> Iterator[Aim]:
         """Over the can, down, close, up, over the target, down, open, away."""
         can = slice(scene.qpos_of("can"), scene.qpos_of("can") + 3)
-        target = sight.start.fixtures[2, :3] + [0, 0, GAP]
+        target = sight.start.fixtures[2, :3] - [0, 0, PRESS]
         hand = Hand(sight)
 
         def over_can() -> np.ndarray:
@@ -71,17 +71,22 @@ class PickPlaceCan(Task):
             return sight.qpos[can] + [0, 0, height]
 
         def over_target() -> np.ndarray:
-            height = funnel(sight.qpos[can] - target, 0, CARRY)
+            height = funnel(sight.qpos[can] - target, 0, CARRY, inside=0.02)
             return sight.grip_position + target - sight.qpos[can] + [0, 0, height]
 
-        yield from hand.reach(
-            lambda: sight.qpos[can] + [0, 0, HOVER], OPEN, tolerance=0.04, stray=0.06
-        )
-        yield from hand.reach(over_can, OPEN, tolerance=0.006)
+        def easy() -> np.ndarray:
+            base = scene.world_from_base[:3, 3]
+            return easy_grip(base, sight.grip_position, np.array([0.0, 1.0, 0.0]))
+
+        def above_can() -> np.ndarray:
+            return np.add(sight.qpos[can], [0, 0, HOVER])
+
+        yield from hand.reach(above_can, OPEN, tolerance=0.04, turn=easy, stray=0.06)
+        yield from hand.reach(over_can, OPEN, tolerance=0.008, turn=easy, trim=0.05)
         yield from hand.hold(CLOSE, steps=8)
         up = np.add(sight.grip_position, [0, 0, CARRY])
         yield from hand.reach(lambda: up, CLOSE, tolerance=0.03)
-        yield from hand.reach(over_target, CLOSE, tolerance=0.004)
+        yield from hand.reach(over_target, CLOSE, tolerance=0.012, turn=easy, trim=0.05)
         yield from hand.hold(OPEN, steps=6)
         away = np.add(sight.grip_position, [0, 0, HOVER])
         yield from hand.reach(lambda: away, OPEN, tolerance=0.03)

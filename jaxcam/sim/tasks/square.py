@@ -5,9 +5,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from jaxcam.rotations import Array, array_namespace
+from jaxcam.rotations import Array, array_namespace, matrix_from_rotvec
 from jaxcam.sim.engine import Start, State
-from jaxcam.sim.experts import CLOSE, OPEN, Hand, funnel, upright
+from jaxcam.sim.experts import CLOSE, OPEN, Hand, easy_grip, funnel
 from jaxcam.sim.scene import TABLE_TOP, CompositeObject, Scene, SquareNutObject
 from jaxcam.sim.task import Aim, Sight, Task
 
@@ -16,6 +16,7 @@ NUT_HALF_HEIGHT, HANDLE = 0.010, 0.054
 along its x axis the handle's middle is."""
 PEG_RADIUS, PEG_HALF_LENGTH = 0.012, 0.05
 BASE_HALF_SIZE = (0.06, 0.06, 0.005)
+PEG_TOP = 2 * (BASE_HALF_SIZE[2] + PEG_HALF_LENGTH)
 DENSITY = 2000.0
 """The peg on its base (m, kg/m³), which stands freely (authors' SquareRand)."""
 PLACEMENT = 0.18
@@ -31,8 +32,10 @@ AWAY = float(np.arctanh(0.4) / 10)
 GRIP, GRASP, HOVER = 0.062, 0.003, 0.12
 """Where the expert grips the nut (m): how far along its x axis and over its middle, and how high
 above that it comes from."""
-OVER, DOWN = 0.155, 0.026
-"""Heights (m) of the nut above the table when carried over the peg, and when let go."""
+REACH = 0.72
+"""Distance (m) from the robot's base up to which an upright hand works well."""
+UP, OVER, DOWN = 0.07, 0.16, 0.026
+"""Heights (m) of the nut above the table when lifted, over the peg, and when let go."""
 
 
 def _peg() -> Any:
@@ -100,7 +103,7 @@ class Square(Task):
     def expert(self, scene: Scene, sight: Sight) -> Iterator[Aim]:
         """Turn over the handle, down, close, up, over the peg, down around it, open, away."""
         at, peg = scene.qpos_of("nut"), scene.qpos_of("peg")
-        nut = slice(at, at + 3)
+        nut, base = slice(at, at + 3), scene.world_from_base[:3, 3]
         hand = Hand(sight)
 
         def along() -> np.ndarray:
@@ -114,23 +117,59 @@ class Square(Task):
 
         def over_peg() -> np.ndarray:
             there = np.array([*sight.qpos[peg : peg + 2], TABLE_TOP])
-            height = funnel(sight.qpos[nut] - there, DOWN, OVER, inside=0.006, slope=20)
-            return sight.grip_position + there - sight.qpos[nut] + [0, 0, height]
+            off = sight.qpos[nut] - there
+            threaded = off[2] < PEG_TOP and np.linalg.norm(off[:2]) < AROUND
+            height = DOWN if threaded else funnel(off, DOWN, OVER, inside=0.008, slope=20)
+            return sight.grip_position - off + [0, 0, height]
 
         def across() -> np.ndarray:
-            return upright(sight.grip_rotation, np.cross([0, 0, 1], along()))
+            at, close = sight.grip_position, np.cross([0, 0, 1], along())
+            return easy_grip(base, at, -close if _twist(base, at, close) > np.pi / 2 else close)
 
         yield from hand.reach(
             lambda: over_handle(HOVER), OPEN, tolerance=0.04, turn=across, stray=0.06
         )
-        yield from hand.reach(over_handle, OPEN, tolerance=0.005, turn=across)
+        yield from hand.reach(over_handle, OPEN, tolerance=0.008, turn=across, trim=0.05)
         yield from hand.hold(CLOSE, steps=9)
-        up = np.array([*sight.grip_position[:2], TABLE_TOP + OVER])
-        yield from hand.reach(lambda: up, CLOSE, tolerance=0.02)
-        yield from hand.reach(over_peg, CLOSE, tolerance=0.004)
+        up = np.array([*sight.grip_position[:2], TABLE_TOP + UP])
+        yield from hand.reach(lambda: up, CLOSE, tolerance=0.03)
+        turned = _over_peg(base, sight.qpos[peg : peg + 3], sight.grip_rotation[:, 0], along())
+        yield from hand.reach(
+            over_peg,
+            CLOSE,
+            tolerance=0.007,
+            turn=lambda: easy_grip(base, sight.grip_position, turned),
+            trim=0.05,
+        )
         yield from hand.hold(OPEN, steps=6)
         away = np.add(sight.grip_position, [0, 0, HOVER])
         yield from hand.reach(lambda: away, OPEN, tolerance=0.03)
+
+
+def _over_peg(
+    base: np.ndarray, peg: np.ndarray, close: np.ndarray, along: np.ndarray
+) -> np.ndarray:
+    """The direction [3] in which a hand closes that holds the nut over the peg.
+
+    The peg is round: of all directions that the handle may have there, the best compromise of
+    little turning, an untwisted wrist and being within reach.
+    """
+
+    def about(turn: float) -> np.ndarray:
+        return matrix_from_rotvec(np.array([0, 0, turn]))
+
+    def cost(turn: float) -> float:
+        at = peg + GRIP * about(turn) @ along
+        beyond = max(0, np.linalg.norm((at - base)[:2]) - REACH)
+        return abs(turn) / 2 + _twist(base, at, about(turn) @ close) ** 2 + 30 * beyond
+
+    return about(min(np.linspace(-np.pi, np.pi, 49), key=cost)) @ close
+
+
+def _twist(base: np.ndarray, at: np.ndarray, close: np.ndarray) -> float:
+    """Angle (rad) by which a hand that closes along `close` is turned against the arm."""
+    sideways = np.cross([0, 0, 1], at - base)
+    return float(np.arccos(np.clip(sideways @ close / np.linalg.norm(sideways), -1, 1)))
 
 
 def _x_axis(quaternion: Array) -> Array:
