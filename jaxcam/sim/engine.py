@@ -85,6 +85,19 @@ class Progress(NamedTuple):
         return ~self.success & self.state.ok & self.alive & (self.taken < self.horizon)
 
 
+def begin(state: State, horizon: int, alive: Array | None = None) -> Progress:
+    """The progress of episodes that start in `state`, of which those not `alive` stay there."""
+    count = len(state.ok)
+    return Progress(
+        state=state,
+        alive=np.ones(count, bool) if alive is None else alive,
+        success=np.zeros(count, bool),
+        steps=np.full(count, horizon),
+        taken=np.zeros((), int),
+        horizon=np.array(horizon),
+    )
+
+
 def control_step(
     step: Callable[[State, Command, Array], State],
     is_done: Callable[[State], Array],

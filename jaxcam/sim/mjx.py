@@ -29,6 +29,7 @@ from jaxcam.sim.engine import (
     Start,
     State,
     Success,
+    begin,
     control_step,
 )
 from jaxcam.sim.scene import Scene
@@ -159,6 +160,13 @@ class MjxEngine(Engine):
         in_time = Command(*(jnp.moveaxis(jnp.asarray(x, jnp.float32), 1, 0) for x in commands))
         return jax.lax.scan(one, jax.tree.map(jnp.asarray, progress), in_time)
 
+    def rollout(
+        self, success: Success, horizon: int, start: Start, commands: Command
+    ) -> tuple[Progress, jax.Array]:
+        """`reset` and `play` as one pure function: whole episodes in one compiled program."""
+        bodies, progress = self._bodies(start.geom_size), begin(self._state(start), horizon)
+        return self._play(success, bodies, progress, commands, start)
+
     def check_room(self) -> None:
         """Raises an error if contacts were lost for want of room since the last call.
 
@@ -255,7 +263,8 @@ class MjxEngine(Engine):
 
             qpos = pick(qpos, state.qpos)
             position, rotation = self._grip(qpos)
-        self._report(jnp.where(run, overflow, 0))
+        if self.impl == "warp":
+            self._report(jnp.where(run, overflow, 0))
         return State(
             qpos=qpos,
             qvel=pick(qvel, state.qvel),

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxcam.actions import decode, measured
 from jaxcam.rays import invert
-from jaxcam.sim.engine import Command, Engine, Progress, Start
+from jaxcam.sim.engine import Command, Engine, Start, begin
 from jaxcam.sim.render import Renderer, View
 from jaxcam.sim.scene import Scene
 from jaxcam.sim.task import Task
@@ -64,18 +64,10 @@ def rollout(
         alive: [B] False for episodes that only fill the batch up; all when None.
         tick: called after every control step.
     """
-    count = len(start.qpos)
     base_from_camera = (invert(scene.world_from_base) @ world_from_camera).astype(np.float32)
     state = engine.reset(start)
     anchor = measured(space, state, scene.arm)
-    progress = Progress(
-        state=state,
-        alive=np.ones(count, bool) if alive is None else alive,
-        success=np.zeros(count, bool),
-        steps=np.full(count, task.horizon),
-        taken=np.zeros((), int),
-        horizon=np.array(task.horizon),
-    )
+    progress = begin(state, task.horizon, alive)
     trace = [np.asarray(state.qpos)[None]]
     call = 0
     while np.any(active := np.asarray(progress.active)):

@@ -1,0 +1,217 @@
+"""MJX against the native engine, and what a batch of worlds on a device must keep apart."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from jaxcam.actions import decode, demo_actions, measured
+from jaxcam.errors import ConfigError, SimError
+from jaxcam.rotations import rotvec_from_matrix
+from jaxcam.sim import engine_name, make_engine
+from jaxcam.sim.engine import Command, Start, begin
+from jaxcam.sim.mjx import MjxEngine, _check_pairs
+from jaxcam.sim.native import NativeEngine
+from jaxcam.sim.task import starts
+
+WORLDS = 3
+CONTROLLERS = ("osc_pose", "joint_position")
+
+
+@pytest.fixture(scope="module")
+def start(lift, scene):
+    """Cubes of different sizes that touch the table, each in its own place."""
+    found = starts(lift, scene, range(WORLDS))
+    cube = scene.qpos_of("cube")
+    found.qpos[:, cube : cube + 2] = [[0, 0], [0.02, -0.1], [-0.05, 0.1]]
+    found.qpos[:, cube + 2] -= 0.0101
+    return found
+
+
+@pytest.fixture(scope="module")
+def warp(lift, scene):
+    return {c: MjxEngine(scene, c, lift.varied) for c in CONTROLLERS}
+
+
+def wave(scene, state, controller, steps):
+    """Targets [B, T, ...] around where the arm is, and a gripper that opens and closes."""
+    angle = np.arange(steps)[None, :, None] / 8 + np.arange(WORLDS)[:, None, None]
+    if controller == "osc_pose":
+        rotvec = rotvec_from_matrix(state.grip_rotation)
+        pose = np.concatenate([state.grip_position, rotvec], -1)[:, None]
+        target = pose + 0.05 * np.sin(angle + np.arange(6)) * [1, 1, 1, 0.5, 0.5, 0.5]
+    else:
+        target = state.qpos[:, None, scene.arm] + 0.1 * np.sin(angle + np.arange(7))
+    return Command(target, np.where(np.sin(angle[..., 0]) > 0, 1.0, -1.0))
+
+
+def never(scene, state, start):
+    return state.qpos[:, 0] > 100
+
+
+def follow(engine, start, commands, success=never):
+    """The way [T + 1, B, nq] and the progress after all commands."""
+    state = engine.reset(start)
+    progress = begin(state, commands.target.shape[1])
+    progress, way = engine.play(progress, commands, start, success)
+    return np.concatenate([np.asarray(state.qpos)[None], way]), progress
+
+
+def check_parity(engine, controller, lift, scene, start, steps):
+    native = NativeEngine(scene, controller, lift.varied)
+    commands = wave(scene, native.reset(start), controller, steps)
+    there, there_progress = follow(native, start, commands)
+    here, here_progress = follow(engine, start, commands)
+    assert abs(there[-1] - there[0]).max() > 0.01  # the arm has moved, the cubes pressed the table
+    np.testing.assert_allclose(here, there, atol=1e-4)
+    for name in ("grip_position", "grip_rotation", "qvel", "closed"):
+        a, b = getattr(here_progress.state, name), getattr(there_progress.state, name)
+        np.testing.assert_allclose(a, b, atol=1e-3, err_msg=name)
+
+
+@pytest.mark.parametrize("controller", CONTROLLERS)
+def test_free_motion_and_contacts_are_as_native(lift, scene, start, warp, controller):
+    check_parity(warp[controller], controller, lift, scene, start, steps=3)  # 75 physics steps
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("controller", CONTROLLERS)
+def test_fifty_control_steps_are_as_native(lift, scene, start, warp, controller):
+    check_parity(warp[controller], controller, lift, scene, start, steps=50)
+
+
+def test_sizes_become_the_model_that_mujoco_derives(lift, scene, start, warp):
+    found = warp["osc_pose"]._bodies(start.geom_size)
+    geom, body = scene.physics.geom("cube_g0").id, scene.physics.body("cube_main").id
+    for i, half in enumerate(start.geom_size[:, 0]):
+        spec = mujoco.MjSpec()
+        cube = spec.worldbody.add_body()
+        cube.add_freejoint()
+        density = scene.physics.body_mass[body] / (8 * scene.physics.geom_size[geom].prod())
+        cube.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=half, density=density)
+        model = spec.compile()
+        for name in ("body_mass", "body_inertia", "body_subtreemass", "body_invweight0"):
+            want = getattr(model, name)[1]
+            np.testing.assert_allclose(found[name][i, body], want, rtol=1e-5, err_msg=name)
+        dof = scene.physics.body_dofadr[body]
+        got = found["dof_invweight0"][i, dof : dof + 6]
+        np.testing.assert_allclose(got, model.dof_invweight0, rtol=1e-5)
+        got = [found["geom_size"][i, geom], found["geom_aabb"][i, geom].ravel()[3:]]
+        np.testing.assert_allclose(got, [half, half], rtol=1e-6)
+        np.testing.assert_allclose(found["geom_rbound"][i, geom], model.geom_rbound[0], rtol=1e-6)
+
+
+def test_inactive_worlds_stay_and_a_diverging_one_is_lost_alone(scene, start, warp):
+    engine = warp["osc_pose"]
+    before = engine.reset(start)
+    command = wave(scene, before, "osc_pose", 1)
+    command = Command(command.target[:, 0], command.gripper[:, 0])
+    healthy = engine.step(before, command)
+    after = engine.step(before, command, np.array([True, False, True]))
+    spoilt = engine.step(before._replace(qvel=before.qvel.at[1, 3].set(np.inf)), command)
+    for old, new, alone, whole in zip(before, after, spoilt, healthy, strict=True):
+        np.testing.assert_array_equal(new[1], old[1])
+        for i in (0, 2):
+            np.testing.assert_array_equal(new[i], whole[i])
+            np.testing.assert_array_equal(alone[i], whole[i])
+    assert abs(after.qpos[0] - before.qpos[0]).max() > 1e-4
+    assert healthy.ok.all()
+    assert spoilt.ok.tolist() == [True, False, True]
+    assert np.isfinite(spoilt.qpos).all()
+    again = engine.step(spoilt, command)
+    np.testing.assert_array_equal(again.qpos[1], spoilt.qpos[1])
+    assert engine.reset(start).ok.all()
+
+
+def test_success_and_horizon_freeze_inside_the_program(lift, scene, start, warp):
+    native = NativeEngine(scene, varied=lift.varied)
+    commands = wave(scene, native.reset(start), "osc_pose", 4)
+    way, _ = follow(native, start, commands)
+    far = np.sort(abs(way[2, :, 0] - start.qpos[:, 0]))[1] - 1e-5  # two worlds are there by step 2
+
+    def moved(scene, state, start):
+        return abs(state.qpos[:, 0] - start.qpos[:, 0]) > far
+
+    engine, ticks = warp["osc_pose"], []
+    state = engine.reset(start)
+    progress, way = engine.play(begin(state, 3), commands, start, moved, lambda: ticks.append(0))
+    assert len(way) == len(ticks) == 3
+    assert int(progress.success.sum()) >= 2
+    for i, (done, step) in enumerate(zip(progress.success, progress.steps, strict=True)):
+        now = abs(way[:, i, 0] - start.qpos[i, 0]) > far
+        assert bool(done) == bool(now.any())
+        assert step == (1 + int(np.argmax(now)) if done else 3)
+        assert (way[step - 1 :, i] == way[step - 1, i]).all()
+
+
+@pytest.mark.parametrize("name", ["contacts", "rows"])
+def test_lost_contacts_are_an_error_that_names_the_limit(lift, scene, start, name):
+    engine = MjxEngine(scene, "joint_position", lift.varied, **{name: 1})
+    state = engine.reset(start)
+    with pytest.raises(SimError, match=f"Raise `{name}`"):
+        engine.step(state, Command(np.asarray(state.qpos[:, scene.arm]), -np.ones(WORLDS)))
+
+
+def test_engines_by_name(lift, scene):
+    assert engine_name("auto") == "native"
+    assert isinstance(make_engine("auto", scene, "osc_pose", lift.varied), NativeEngine)
+    assert make_engine("mjx-warp", scene, "joint_position", lift.varied).controller != "osc_pose"
+    with pytest.raises(ConfigError, match="mjx-warp"):
+        make_engine("mjx-wrap", scene, "osc_pose")
+
+
+def test_jax_refuses_pairs_by_name():
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><geom name="crate" type="box" size="1 1 1"/>
+        <body><freejoint/><geom name="tin" type="cylinder" size="1 1"/></body>
+        </worldbody></mujoco>"""
+    )
+    with pytest.raises(ConfigError, match=r"cannot collide (crate|tin) with (crate|tin).*native"):
+        _check_pairs(model)
+
+
+def replayed(engine, demos, lift, scene, extra=0):
+    """Expert demonstrations' commands, the last one kept for `extra` steps more."""
+    nq = scene.physics.nq
+    start = Start(
+        np.stack([d.states[0, 1 : 1 + nq] for d in demos]),
+        np.stack([d.geom_size for d in demos]),
+        np.stack([d.fixtures for d in demos]),
+    )
+    moves = np.zeros((len(demos), max(d.length for d in demos) + extra, 7))
+    moves[..., -1] = 1
+    for row, demo in zip(moves, demos, strict=True):
+        row[: demo.length] = demo_actions(demo, "eef_delta", scene)
+    anchor = np.asarray(measured("eef_delta", engine.reset(start), scene.arm), float)
+    return start, Command(*decode("eef_delta", moves, anchor))
+
+
+@pytest.mark.slow
+def test_a_held_cube_does_not_creep_out_of_the_grasp(demos, lift, scene):
+    """For a whole episode after the lift: MJX has no noslip iterations."""
+    engine = MjxEngine(scene, "osc_pose", lift.varied)
+    some = demos.train[:2]
+    start, commands = replayed(engine, some, lift, scene, extra=lift.horizon)
+    way, progress = follow(engine, start, commands)
+    cube = scene.qpos_of("cube")
+    assert progress.state.ok.all()
+    held = way[-lift.horizon + 20 :, :, cube : cube + 3]
+    assert (held[..., 2] > 0.86).all()
+    assert abs(held - held[0]).max() < 2e-3
+
+
+@pytest.mark.slow
+def test_demonstrations_succeed_as_on_the_native_engine(demos, lift, scene):
+    every = demos.train + demos.valid
+    outcomes = []
+    for engine in (NativeEngine(scene, varied=lift.varied), MjxEngine(scene, varied=lift.varied)):
+        start, commands = replayed(engine, every, lift, scene)
+        outcomes.append(np.asarray(follow(engine, start, commands, lift.success)[1].success))
+    assert outcomes[0].all()
+    np.testing.assert_array_equal(*outcomes)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("controller", CONTROLLERS)
+def test_mjx_jax_is_as_native(lift, scene, start, controller):
+    engine = MjxEngine(scene, controller, lift.varied, "jax")
+    check_parity(engine, controller, lift, scene, start, steps=50)
