@@ -71,24 +71,4 @@ def integrate(
         return x - velocity(x, jnp.full(x.shape[0], time)) / steps, None
 
     times = (1 - np.arange(steps) / steps).astype(np.float32)
-    return jax.lax.scan(step, noise, times)[0]
-
-
-def flow_loss(
-    predicted: jax.Array, target: jax.Array, is_pad: jax.Array, *, padding: str, action_dim: int
-) -> jax.Array:
-    """Mean squared error of velocities.
-
-    Args:
-        predicted: Velocities [B, T, W]; beyond the first `action_dim` numbers is padding.
-        target: The same of the lines.
-        is_pad: Steps past a demonstration's end, [B, T].
-        padding: "valid" leaves padding out, steps and numbers, as the paper does. "all" counts it
-            like everything else, as LeRobot 0.4 does.
-        action_dim: Numbers of a real action.
-    """
-    error = (predicted - target) ** 2
-    if padding == "all":
-        return jnp.mean(error)
-    keep = ~is_pad[..., None]
-    return jnp.sum(error[..., :action_dim] * keep) / jnp.maximum(keep.sum() * action_dim, 1)
+    return jax.lax.scan(step, noise, jnp.asarray(times))[0]

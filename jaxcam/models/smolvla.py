@@ -12,9 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxcam.errors import ConfigError
-from jaxcam.models.act import action_scale, proprio_scale
-from jaxcam.models.flow import draw_time, flow_loss, integrate, line
+from jaxcam.models.act import proprio_scale
+from jaxcam.models.flow import draw_time, integrate, line
 from jaxcam.models.fusion import CameraConfig, check_known, with_conditioning
+from jaxcam.models.losses import PADDINGS, padded_mean, repeat_ends
 from jaxcam.models.policy import (
     Batch,
     Family,
@@ -28,6 +29,9 @@ from jaxcam.models.policy import (
     pure,
 )
 from jaxcam.models.smolvla_network import PRETRAINED, SmolVla
+
+STD_FLOOR = 1e-4
+"""Least deviation that actions are divided by, the authors'."""
 
 MOST_TOKENS = 48
 """Longest prompt SmolVLA takes."""
@@ -73,7 +77,9 @@ class SmolVlaConfig(CameraConfig):
     train: str = "all"
     """What is trained: all of it, or everything but the vision language model (expert)."""
     padding: str = "valid"
-    """Loss at padded steps and padded action numbers: left out (valid) or counted (all)."""
+    """How steps past a demonstration's end count in the loss, see `padded_mean`. Numbers that fill
+    an action up count where such steps do. With valid, such steps are zeros before normalisation,
+    as in the paper, otherwise copies of the last action."""
     steps: int = 10
     """Euler steps from noise to actions."""
     drop_proprio: bool = True
@@ -125,7 +131,7 @@ class SmolVlaConfig(CameraConfig):
             attention=("joint", "interleaved"),
             mask=("causal", "blocks"),
             train=("all", "expert"),
-            padding=("valid", "all"),
+            padding=PADDINGS,
         )
         if self.network not in (known := ("none", "token", "late")):
             raise ConfigError(
@@ -171,7 +177,7 @@ SMOLVLA_PRESETS: dict[str, SmolVlaConfig] = {
         mask="blocks",
         scale_embeddings=True,
         train="expert",
-        padding="all",
+        padding="counted",
         drop_proprio=False,
         action_width=32,
     ),
@@ -234,6 +240,20 @@ def with_prompt(config: SmolVlaConfig, task: str) -> SmolVlaConfig:
     return replace(config, prompt=prompt, tokens=tokenize(prompt, config.tokenizer))
 
 
+def velocity_loss(
+    config: SmolVlaConfig,
+    predicted: jax.Array,
+    target: jax.Array,
+    is_pad: jax.Array,
+    action_dim: int,
+) -> jax.Array:
+    """Mean squared error of velocities [B, T, W], of which `action_dim` numbers are real."""
+    error = jnp.square(predicted - target)
+    if config.padding != "counted":
+        error = error[..., :action_dim]
+    return padded_mean(error, is_pad, config.padding)
+
+
 def trained(params: Params) -> Params:
     """False at the parameters that training the expert leaves alone."""
     return {
@@ -247,7 +267,7 @@ def make_smolvla(config: SmolVlaConfig, spec: PolicySpec, stats: Stats) -> Polic
     check_sizes(config.chunk, spec, stats)
     _check_fit(config, spec)
     action_mean = np.asarray(stats["action_mean"], np.float32)
-    action_std = action_scale(stats["action_std"])
+    action_std = np.maximum(np.asarray(stats["action_std"], np.float32), np.float32(STD_FLOOR))
     proprio_mean = np.asarray(stats["proprio_mean"], np.float32)
     proprio_std = proprio_scale(stats["proprio_std"])
     init, network = pure(lambda rngs: SmolVla(config, spec, rngs=rngs))
@@ -262,7 +282,10 @@ def make_smolvla(config: SmolVlaConfig, spec: PolicySpec, stats: Stats) -> Polic
             params = jax.tree.map(
                 lambda p, t: p if t else jax.lax.stop_gradient(p), params, trained(params)
             )
-        action = _filled((batch["action"] - action_mean) / action_std, width)
+        action, is_pad = (batch["action"] - action_mean) / action_std, batch["is_pad"]
+        if config.padding != "valid":
+            action = repeat_ends(action, is_pad)
+        action = _filled(action, width)
         # Without a key, as in validation, noise and times are the same every time.
         noise_key, time_key = jax.random.split(jax.random.key(0) if key is None else key)
         noise = jax.random.normal(noise_key, action.shape)
@@ -270,13 +293,7 @@ def make_smolvla(config: SmolVlaConfig, spec: PolicySpec, stats: Stats) -> Polic
         x, target = line(action, noise, time)
         net = network(params)
         predicted = net.velocity(net.prefix(batch, state(batch)), x, time)
-        value = flow_loss(
-            predicted,
-            target,
-            batch["is_pad"],
-            padding=config.padding,
-            action_dim=spec.action_dim,
-        )
+        value = velocity_loss(config, predicted, target, is_pad, spec.action_dim)
         return value, {"loss": value}
 
     def act(params: Params, obs: Obs, key: Key) -> jax.Array:

@@ -120,7 +120,7 @@ class SmolVla(nnx.Module):
         """Read images, cameras, the prompt and the normalised state [B, state_width]."""
         batch = state.shape[0]
         images = self._images(obs).reshape(batch, -1, self.config.width)
-        words = self.embed(np.asarray(self.config.tokens))
+        words = self.embed(jnp.asarray(self.config.tokens))
         words = jnp.broadcast_to(words, (batch, *words.shape))
         if self.config.scale_embeddings:
             images, words = images * self.config.width**0.5, words * self.config.width**0.5
