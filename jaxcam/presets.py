@@ -10,8 +10,8 @@ _TASKS = tuple(sorted(p.stem for p in Path(__file__).parent.glob("sim/tasks/[a-z
 NAMES: dict[str, tuple[str, ...]] = {
     "task": _TASKS,
     "scene": ("fixed", "randomized"),
-    "policy": ("act", "diffusion"),
-    "preset": ("auto", "laptop", "paper", "lerobot", "original"),
+    "policy": ("act", "diffusion", "smolvla"),
+    "preset": ("auto", "laptop", "paper", "lerobot", "original", "tiny"),
     "conditioning": ("none", "token", "early", "late", "keypoints"),
     "action_space": (
         "eef_delta",
@@ -87,5 +87,25 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
         "steps": 4000, "batch": 64, "lr": 1e-3, "weight_decay": 1e-4,
         "schedule": "cosine", "warmup": 200, "crop_min": 0.8, "ema": 0.995, "ema_power": 0.75,
         "log_every": 50, "eval_every": 500, "save_every": 500, "steps_per_call": 10,
+    },
+    # The authors' first update has a rate of 0, ours one step's share of the warm-up.
+    ("smolvla", "paper"): {
+        "conditioning": "late", "precision": "bfloat16", "resolution": 256,
+        "steps": 90_000, "batch": 70, "lr": 1e-4, "weight_decay": 1e-3,
+        "schedule": "cosine", "warmup": 4500, "crop_min": 0.8,
+        "log_every": 50, "eval_every": 3000, "save_every": 3000, "steps_per_call": 10,
+    },
+    ("smolvla", "lerobot"): {
+        "conditioning": "none", "precision": "bfloat16", "resolution": 256,
+        "steps": 30_000, "batch": 64, "lr": 1e-4, "weight_decay": 1e-10, "clip_norm": 10.0,
+        "beta2": 0.95, "schedule": "cosine", "warmup": 1000, "final_lr": 2.5e-6, "crop_min": 1.0,
+        "log_every": 200, "eval_every": 3000, "save_every": 3000, "steps_per_call": 10,
+    },
+    # For tests: the paper's form, small enough for a CPU, without a tokenizer.
+    ("smolvla", "tiny"): {
+        "conditioning": "late", "precision": "float32", "resolution": 64,
+        "steps": 200, "batch": 8, "lr": 1e-3, "weight_decay": 1e-4,
+        "schedule": "cosine", "warmup": 10, "crop_min": 0.8,
+        "log_every": 10, "eval_every": 50, "save_every": 100, "steps_per_call": 1,
     },
 }  # fmt: skip

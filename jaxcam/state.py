@@ -77,22 +77,31 @@ def make_schedule(config: TrainConfig) -> optax.Schedule:
     )
 
 
-def make_optimizer(config: TrainConfig) -> optax.GradientTransformation:
-    """Adam on gradients clipped by their global norm, with decoupled weight decay or L2."""
-    clip = optax.clip_by_global_norm(config.clip_norm) if config.clip_norm else optax.identity()
-    rate, betas = make_schedule(config), (config.beta1, config.beta2)
-    if config.optimizer == "adamw":
-        decay = config.weight_decay
-        return optax.chain(clip, optax.adamw(rate, *betas, weight_decay=decay, mask=is_trained))
-    l2 = optax.add_decayed_weights(config.weight_decay, mask=is_trained)
-    return optax.chain(clip, l2, optax.adam(rate, *betas))
-
-
 def is_trained(params: Params) -> Params:
-    """False at parameters named ``frozen...``; their gradient is zero, so only decay moves them."""
+    """False at parameters named ``frozen...``, which no policy trains."""
     return jax.tree_util.tree_map_with_path(
         lambda path, _: not path[-1].key.startswith("frozen"), params
     )
+
+
+def make_optimizer(
+    config: TrainConfig, trained: Callable[[Params], Params] | None = None
+) -> optax.GradientTransformation:
+    """Adam on gradients clipped by their global norm, with decoupled weight decay or L2.
+
+    Args:
+        config: Resolved settings.
+        trained: Tree of booleans for parameters: False at those that stay as they are. Their
+            gradient must be zero; the optimizer keeps nothing for them. None is `is_trained`.
+    """
+    clip = optax.clip_by_global_norm(config.clip_norm) if config.clip_norm else optax.identity()
+    rate, betas = make_schedule(config), (config.beta1, config.beta2)
+    if config.optimizer == "adamw":
+        steps = [clip, optax.adamw(rate, *betas, weight_decay=config.weight_decay)]
+    else:
+        l2 = optax.add_decayed_weights(config.weight_decay)
+        steps = [clip, l2, optax.adam(rate, *betas)]
+    return optax.masked(optax.chain(*steps), trained or is_trained)
 
 
 def ema_decay(step: jax.Array, largest: float, power: float) -> jax.Array | float:

@@ -137,7 +137,7 @@ def _fit(
     from jaxcam.progress import progress
     from jaxcam.state import check_finite, init_state, make_optimizer, make_train_chunk
 
-    root, tx = jax.random.key(config.seed), make_optimizer(config)
+    root, tx = jax.random.key(config.seed), make_optimizer(config, policy.trained)
     crop = functools.partial(random_crop, smallest=config.crop_min)
     update = make_train_chunk(
         policy.loss, tx, augment=crop, ema=config.ema, ema_power=config.ema_power

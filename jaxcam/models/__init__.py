@@ -4,7 +4,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from jaxcam.fields import with_overrides
-from jaxcam.models import act, diffusion
+from jaxcam.models import act, diffusion, smolvla
 from jaxcam.models.act import ACT_PRESETS, ActConfig
 from jaxcam.models.policy import Batch, Family, Key, Obs, Params, Policy, PolicySpec, Stats
 
@@ -32,6 +32,7 @@ __all__ = [
 FAMILIES: dict[str, Family[Any]] = {
     "act": act.FAMILY,
     "diffusion": diffusion.FAMILY,
+    "smolvla": smolvla.FAMILY,
 }
 """Every kind of policy by the name it has on the command line."""
 
@@ -58,7 +59,8 @@ def policy_settings(config: "TrainConfig") -> Any:
     """The network's settings that a run's resolved settings ask for."""
     family = FAMILIES[config.policy]
     settings = family.conditioned(family.presets[config.preset], config.conditioning)
-    return with_overrides(replace(settings, compute_dtype=config.precision), config.model)
+    settings = with_overrides(replace(settings, compute_dtype=config.precision), config.model)
+    return family.told(settings, config.task)
 
 
 def rebuild_policy(inputs: "PolicyInputs") -> Policy:

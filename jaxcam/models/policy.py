@@ -58,6 +58,8 @@ class Policy:
         config: The policy's own settings.
         spec: The sizes it was built for.
         execute: How many actions of a chunk are executed before the policy is asked again.
+        trained: ``trained(params)`` is False at the parameters that training leaves alone, whose
+            gradient is zero; None is all that is not named ``frozen...``.
     """
 
     init: Callable[[jax.Array], Params]
@@ -66,6 +68,7 @@ class Policy:
     config: Any
     spec: PolicySpec
     execute: int
+    trained: Callable[[Params], Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -79,12 +82,14 @@ class Family(Generic[C]):
         make: Makes the policy from settings, sizes and statistics.
         conditioned: ``conditioned(config, conditioning)`` is the same policy, told of its cameras
             in another way.
+        told: ``told(config, task)`` is the same policy, told what to do by the task's name.
     """
 
     config: type[C]
     presets: Mapping[str, C]
     make: Callable[[C, PolicySpec, Stats], Policy]
     conditioned: Callable[[C, str], C]
+    told: Callable[[C, str], C] = lambda config, task: config
 
 
 def pure(

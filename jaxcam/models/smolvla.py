@@ -305,7 +305,8 @@ def make_smolvla(config: SmolVlaConfig, spec: PolicySpec, stats: Stats) -> Polic
         return x[..., : spec.action_dim] * action_std + action_mean
 
     execute = min(config.execute or spec.chunk, spec.chunk)
-    return Policy(init, loss, act, config, spec, execute)
+    only = trained if config.train == "expert" else None
+    return Policy(init, loss, act, config, spec, execute, only)
 
 
 def _filled(x: jax.Array, width: int) -> jax.Array:
@@ -328,4 +329,4 @@ def _check_fit(config: SmolVlaConfig, spec: PolicySpec) -> None:
         )
 
 
-FAMILY = Family(SmolVlaConfig, SMOLVLA_PRESETS, make_smolvla, with_conditioning)
+FAMILY = Family(SmolVlaConfig, SMOLVLA_PRESETS, make_smolvla, with_conditioning, with_prompt)
