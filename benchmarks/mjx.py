@@ -25,9 +25,12 @@ from jaxcam.demos import read_demos
 from jaxcam.presets import NAMES
 from jaxcam.rotations import rotvec_from_matrix
 from jaxcam.sim import make_engine, make_task
-from jaxcam.sim.engine import Command, Engine, Start, State, begin
+from jaxcam.sim.engine import Command, Engine, Start, State
 from jaxcam.sim.mjx import MjxEngine
+from jaxcam.sim.rollout import OpenLoop
 from jaxcam.sim.task import starts
+
+OPEN_LOOP = OpenLoop()
 
 
 def commands(state: State, steps: int) -> Command:
@@ -67,13 +70,12 @@ def speed(args: argparse.Namespace) -> None:
             engine = make_engine(which, scene, "osc_pose", task.varied)
             raw = raw or raw_rate(engine, start, 50)
             state = engine.reset(start)
-            progress = begin(state, task.horizon)
             chunk = commands(state, args.steps)
             began = time.perf_counter()
-            progress, _ = engine.play(progress, chunk, start, task.success)
+            engine.run(OPEN_LOOP, chunk, start, task.success, args.steps)
             first = time.perf_counter() - began
             began = time.perf_counter()
-            progress, _ = engine.play(progress, chunk, start, task.success)
+            engine.run(OPEN_LOOP, chunk, start, task.success, args.steps)
             seconds = time.perf_counter() - began
             rate = args.batch * args.steps * engine.substeps / seconds
             print(
@@ -98,9 +100,8 @@ def program(args: argparse.Namespace) -> None:
                 one = task.start(scene, 0)
                 start = Start(*(_shape(count, *x.shape) for x in one))
                 chunk = Command(_shape(count, task.horizon, 6), _shape(count, task.horizon))
-                whole = jax.jit(engine.rollout, static_argnums=(0, 1))
                 began = time.perf_counter()
-                lowered = whole.lower(task.success, task.horizon, start, chunk)
+                lowered = engine.lower(OPEN_LOOP, chunk, start, task.success, task.horizon)
                 cost = lowered.cost_analysis() or {}
                 line = f"  {name:15} {which:9} {count:5} rollouts, {task.horizon} control steps: "
                 if which == "mjx-jax":  # Warp's kernels are opaque to XLA
@@ -137,7 +138,7 @@ def replay(args: argparse.Namespace) -> None:
             anchor = np.asarray(measured("eef_delta", state, scene.arm), float)
             chunk = Command(*decode("eef_delta", moves, anchor))
             began = time.perf_counter()
-            progress, _ = engine.play(begin(state, moves.shape[1]), chunk, start, task.success)
+            progress, _ = engine.run(OPEN_LOOP, chunk, start, task.success, moves.shape[1])
             success, ok = np.asarray(progress.success), np.asarray(progress.state.ok)
             print(
                 f"  {task.name:15} {which:9} {success.sum()} of {len(demos)} succeed, "

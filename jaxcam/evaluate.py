@@ -12,11 +12,13 @@ if __name__ == "__main__":
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
+from jax.tree_util import Partial
 from rich.console import Console
 
 from jaxcam.actions import controller_of
@@ -99,12 +101,13 @@ class Evaluator:
         # Always worlds for `width`: neither policy nor compiled physics sees another size.
         filled = [*pairs, *[pairs[-1]] * (self.width - len(pairs))]
         seed, cameras = self._pairs(split, filled)
+        act = Partial(_Acting(jax.jit(policy.act)), params, jax.random.key(config.seed))
         start = starts(task, self.scene, [seed + p for p in filled])
         K = np.broadcast_to(
             intrinsics(task.fovy_deg, config.resolution), (*cameras.shape[:2], 3, 3)
         )
         done = rollout(
-            _act(policy, params, config.seed),
+            act,
             task,
             self.scene,
             self.engine,
@@ -186,10 +189,14 @@ class Evaluator:
         return first, poses.reshape(-1, views, 4, 4)[list(pairs)]
 
 
-def _act(policy: Policy, params: Any, seed: int) -> Callable[[dict[str, np.ndarray], int], Any]:
-    """The policy with its parameters and with chance of its own for every call."""
-    root, compiled = jax.random.key(seed), jax.jit(policy.act)
-    return lambda obs, number: compiled(params, obs, jax.random.fold_in(root, number))
+@dataclass(frozen=True)
+class _Acting:
+    """A policy's `act` with chance of its own for every call."""
+
+    act: Callable[..., jax.Array]
+
+    def __call__(self, params: Any, root: jax.Array, obs: Any, number: jax.Array) -> jax.Array:
+        return self.act(params, obs, jax.random.fold_in(root, number))
 
 
 def evaluate(

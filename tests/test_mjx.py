@@ -3,17 +3,23 @@
 import mujoco
 import numpy as np
 import pytest
+from jax.tree_util import Partial
 
 from jaxcam.actions import decode, demo_actions, measured
 from jaxcam.errors import ConfigError, SimError
-from jaxcam.rotations import rotvec_from_matrix
+from jaxcam.frames import intrinsics
+from jaxcam.rays import sample_poses
+from jaxcam.rotations import array_namespace, rotvec_from_matrix
 from jaxcam.sim import engine_name, make_engine
-from jaxcam.sim.engine import Command, Start, begin
+from jaxcam.sim.engine import Command, Start
 from jaxcam.sim.mjx import MjxEngine, _check_pairs
 from jaxcam.sim.native import NativeEngine
+from jaxcam.sim.rollout import OpenLoop, rollout
 from jaxcam.sim.task import starts
+from jaxcam.sim.tasks.lift import Lift
 
 WORLDS = 3
+OPEN_LOOP = OpenLoop()
 CONTROLLERS = ("osc_pose", "joint_position")
 
 
@@ -48,12 +54,11 @@ def never(scene, state, start):
     return state.qpos[:, 0] > 100
 
 
-def follow(engine, start, commands, success=never):
-    """The way [T + 1, B, nq] and the progress after all commands."""
-    state = engine.reset(start)
-    progress = begin(state, commands.target.shape[1])
-    progress, way = engine.play(progress, commands, start, success)
-    return np.concatenate([np.asarray(state.qpos)[None], way]), progress
+def follow(engine, start, commands, success=never, horizon=None, tick=lambda: None):
+    """The way [T + 1, B, nq] and the progress at its end."""
+    horizon = horizon or commands.target.shape[1]
+    progress, way = engine.run(OPEN_LOOP, commands, start, success, horizon, tick=tick)
+    return np.asarray(way), progress
 
 
 def check_parity(engine, controller, lift, scene, start, steps):
@@ -132,8 +137,8 @@ def test_success_and_horizon_freeze_inside_the_program(lift, scene, start, warp)
         return abs(state.qpos[:, 0] - start.qpos[:, 0]) > far
 
     engine, ticks = warp["osc_pose"], []
-    state = engine.reset(start)
-    progress, way = engine.play(begin(state, 3), commands, start, moved, lambda: ticks.append(0))
+    way, progress = follow(engine, start, commands, moved, 3, lambda: ticks.append(0))
+    way = way[1:]
     assert len(way) == len(ticks) == 3
     assert int(progress.success.sum()) >= 2
     for i, (done, step) in enumerate(zip(progress.success, progress.steps, strict=True)):
@@ -141,6 +146,38 @@ def test_success_and_horizon_freeze_inside_the_program(lift, scene, start, warp)
         assert bool(done) == bool(now.any())
         assert step == (1 + int(np.argmax(now)) if done else 3)
         assert (way[step - 1 :, i] == way[step - 1, i]).all()
+
+
+class ShortLift(Lift):
+    horizon = 3
+
+
+def by_sight(gain, obs, call):
+    """Moves [B, 4, 7] that depend on all that a policy is shown, and on the turn."""
+    seen = obs["image"].astype("float32").mean((1, 2, 3)) / 255  # [B, 3]
+    where = obs["proprio"][:, 7:10] + obs["base_from_camera"][:, 0, :3, 3]
+    move = gain * (seen - 0.3) + 0.002 * where + 0.005 * call
+    xp = array_namespace(seen)
+    pose = xp.concatenate([move, 0 * move, xp.ones_like(move[:, :1])], -1)
+    return xp.stack([pose] * 4, 1)
+
+
+def test_a_policy_in_the_loop_is_one_program(lift, scene, renderer, start, warp):
+    poses = sample_poses(lift.cameras, WORLDS, 0)[:, None]
+    K = np.tile(intrinsics(45, renderer.height), (WORLDS, 1, 1, 1))
+    alive, done, ticks = np.array([True, True, False]), [], []
+    for engine in (NativeEngine(scene, varied=lift.varied), warp["osc_pose"]):
+        act = Partial(by_sight, np.float32(0.05))
+        what = (act, ShortLift(), scene, engine, renderer, start, K, poses, "eef_delta")
+        done.append(rollout(*what, 2, alive, lambda: ticks.append(0)))
+    native, mjx = done
+    assert native.qpos.shape == mjx.qpos.shape == (4, WORLDS, scene.physics.nq)
+    assert len(ticks) == 6
+    assert abs(native.qpos[-1] - native.qpos[0])[:2].max(1).min() > 0.01
+    np.testing.assert_allclose(mjx.qpos, native.qpos, atol=1e-4)
+    np.testing.assert_array_equal(mjx.qpos[:, 2], mjx.qpos[[0] * 4, 2])
+    assert mjx.ok.tolist() == native.ok.tolist() == alive.tolist()
+    assert mjx.steps.tolist() == native.steps.tolist()
 
 
 @pytest.mark.parametrize("name", ["contacts", "rows"])

@@ -5,7 +5,7 @@ whose physics diverges is flagged and left, the others go on.
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -121,6 +121,33 @@ def control_step(
     return progress._replace(state=state, success=success, steps=steps, taken=taken)
 
 
+Play = Callable[[Progress, Command], tuple[Progress, Array]]
+"""Executes commands [B, T, ...] open loop: progress after them, and the way there [T, B, nq]."""
+
+
+class Turn(Protocol):
+    """What happens between an episode's states: look, decide, play. A pure function of arrays."""
+
+    def first(self, state: State) -> Array:
+        """What it carries from one turn to the next, at the start of episodes."""
+        ...
+
+    def __call__(
+        self, play: Play, progress: Progress, carried: Array, call: Array, start: Start, inputs: Any
+    ) -> tuple[Progress, Array, Array]:
+        """Plays commands of its choice: progress, what is carried on, the way there [T, B, nq].
+
+        Args:
+            play: executes commands.
+            progress: of the episodes.
+            carried: what the last turn returned.
+            call: number of the turn, from 0.
+            start: how the episodes began.
+            inputs: what `Engine.run` was given.
+        """
+        ...
+
+
 class Engine(Protocol):
     """Steps a batch of worlds of one scene with one controller."""
 
@@ -136,36 +163,47 @@ class Engine(Protocol):
         """Advances the worlds one control step; those not `active` [B] stay as they are."""
         ...
 
-    def play(
+    def run(
         self,
-        progress: Progress,
-        commands: Command,
+        turn: Turn,
+        inputs: Any,
         start: Start,
         success: Success,
+        horizon: int,
+        alive: Array | None = None,
         tick: Callable[[], None] = lambda: None,
     ) -> tuple[Progress, Array]:
-        """Executes commands open loop until each episode succeeds, is lost or runs out of time.
+        """Runs episodes, turn by turn, until each succeeds, is lost or runs out of time.
 
         Args:
-            progress: of episodes that began with this engine's last `reset`.
-            commands: targets [B, T, ...].
-            start: that they began at.
+            turn: chooses commands.
+            inputs: arrays for it.
+            start: of the episodes.
             success: the task's.
+            horizon: control steps after which episodes are out of time.
+            alive: [B] False for episodes that only fill the batch up; all when None.
             tick: called once for every control step.
 
         Returns:
-            The progress after T control steps, or at the horizon, and the way there [T', B, nq].
+            The progress at the end, and the way there [T + 1, B, nq].
         """
-        trace = []
-        for t in range(commands.target.shape[1]):
-            if progress.taken == progress.horizon:
-                break
-            progress = control_step(
-                self.step,
-                lambda state: success(self.scene, state, start),
-                progress,
-                Command(commands.target[:, t], commands.gripper[:, t]),
-            )
-            trace.append(progress.state.qpos)
-            tick()
-        return progress, np.stack(trace)
+        state = self.reset(start)
+        progress, carried, call = begin(state, horizon, alive), turn.first(state), 0
+        trace = [state.qpos[None]]
+
+        def play(progress: Progress, commands: Command) -> tuple[Progress, Array]:
+            way = []
+            for t in range(min(commands.target.shape[1], horizon - int(progress.taken))):
+                command = Command(commands.target[:, t], commands.gripper[:, t])
+                progress = control_step(
+                    self.step, lambda state: success(self.scene, state, start), progress, command
+                )
+                way.append(progress.state.qpos)
+                tick()
+            return progress, np.stack(way)
+
+        while progress.active.any():
+            progress, carried, way = turn(play, progress, carried, np.array(call), start, inputs)
+            trace.append(way)
+            call += 1
+        return progress, np.concatenate(trace)

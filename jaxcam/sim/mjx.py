@@ -29,6 +29,7 @@ from jaxcam.sim.engine import (
     Start,
     State,
     Success,
+    Turn,
     begin,
     control_step,
 )
@@ -104,7 +105,7 @@ class MjxEngine(Engine):
         jit = functools.partial(jax.jit, compiler_options=_CPU_OPTIONS if on_cpu else None)
         self._jit_begin = jit(lambda start: (self._state(start), self._bodies(start.geom_size)))
         self._jit_advance = jit(self._advance)
-        self._jit_play = jit(self._play, static_argnums=0)
+        self._jit_run = jit(self._run, static_argnums=(0, 1, 2))
 
     def reset(self, start: Start) -> State:
         """Puts a batch of worlds at their starts; see `Engine.reset`."""
@@ -122,33 +123,67 @@ class MjxEngine(Engine):
         self.check_room()
         return state
 
-    def play(
+    def run(
         self,
-        progress: Progress,
-        commands: Command,
+        turn: Turn,
+        inputs: Any,
         start: Start,
         success: Success,
+        horizon: int,
+        alive: Array | None = None,
         tick: Callable[[], None] = lambda: None,
     ) -> tuple[Progress, Array]:
-        """Executes commands open loop in one compiled program; see `Engine.play`.
+        """Runs whole episodes in one compiled program; see `Engine.run`.
+
+        It is compiled once for a `turn`, a `success` and the arrays' shapes.
 
         Raises:
             SimError: if contacts were lost for want of room.
         """
-        count = commands.target.shape[1]
-        left = min(count, int(progress.horizon) - int(progress.taken))
-        played = self._jit_play(success, self._now, progress, commands, start)
-        progress, trace = jax.block_until_ready(played)
+        self._tick = tick
+        ran = self._jit_run(turn, success, horizon, inputs, start, alive)
+        progress, trace = jax.block_until_ready(ran)
         self.check_room()
-        for _ in range(left):
-            tick()
-        return progress, trace[:left]
+        return progress, trace[: min(int(progress.taken), horizon) + 1]
+
+    def lower(
+        self, turn: Turn, inputs: Any, start: Start, success: Success, horizon: int
+    ) -> jax.stages.Lowered:
+        """The program of `run`, from shapes alone."""
+        return self._jit_run.lower(turn, success, horizon, inputs, start, None)
+
+    def _run(
+        self,
+        turn: Turn,
+        success: Success,
+        horizon: int,
+        inputs: Any,
+        start: Start,
+        alive: Array | None,
+    ) -> tuple[Progress, jax.Array]:
+        state, bodies = self._state(start), self._bodies(start.geom_size)
+        progress = jax.tree.map(jnp.asarray, begin(state, horizon, alive))
+        play = functools.partial(self._play, success, bodies, start)
+
+        def one(now: tuple[Any, ...]) -> tuple[Any, ...]:
+            progress, carried, call, trace = now
+            so_far = progress.taken
+            progress, carried, way = turn(play, progress, carried, call, start, inputs)
+            jax.debug.callback(self._count, jnp.minimum(progress.taken, horizon) - so_far)
+            trace = jax.lax.dynamic_update_slice_in_dim(trace, way, so_far + 1, 0)
+            return progress, carried, call + 1, trace
+
+        first = (progress, turn.first(state), jnp.int32(0))
+        _, _, way = jax.eval_shape(functools.partial(turn, play), *first, start, inputs)
+        # The last turn may reach beyond the horizon, where nothing moves.
+        room = jnp.zeros((horizon + len(way), *way.shape[1:]), way.dtype)
+        trace = jnp.concatenate([state.qpos[None], room])
+        now = jax.lax.while_loop(lambda now: now[0].active.any(), one, (*first, trace))
+        return now[0], now[-1]
 
     def _play(
-        self, success: Success, bodies: Bodies, progress: Progress, commands: Command, start: Start
+        self, success: Success, bodies: Bodies, start: Start, progress: Progress, commands: Command
     ) -> tuple[Progress, jax.Array]:
-        """`play` as a pure function of arrays; steps beyond the horizon change nothing."""
-        start = jax.tree.map(jnp.asarray, start)
         step = functools.partial(self._advance, bodies)
 
         def one(progress: Progress, command: Command) -> tuple[Progress, jax.Array]:
@@ -157,15 +192,12 @@ class MjxEngine(Engine):
             )
             return progress, progress.state.qpos
 
-        in_time = Command(*(jnp.moveaxis(jnp.asarray(x, jnp.float32), 1, 0) for x in commands))
-        return jax.lax.scan(one, jax.tree.map(jnp.asarray, progress), in_time)
+        in_time = Command(*(jnp.moveaxis(x, 1, 0) for x in commands))
+        return jax.lax.scan(one, progress, in_time)
 
-    def rollout(
-        self, success: Success, horizon: int, start: Start, commands: Command
-    ) -> tuple[Progress, jax.Array]:
-        """`reset` and `play` as one pure function: whole episodes in one compiled program."""
-        bodies, progress = self._bodies(start.geom_size), begin(self._state(start), horizon)
-        return self._play(success, bodies, progress, commands, start)
+    def _count(self, steps: np.ndarray) -> None:
+        for _ in range(int(steps)):
+            self._tick()
 
     def check_room(self) -> None:
         """Raises an error if contacts were lost for want of room since the last call.

@@ -17,6 +17,7 @@ import warp as wp
 from mujoco import mjx
 
 from jaxcam.rays import to_mujoco
+from jaxcam.rotations import Array, array_namespace
 from jaxcam.sim.scene import Scene
 
 _FAR = 1e3
@@ -44,15 +45,15 @@ _start_warp()
 class View(NamedTuple):
     """What to draw: B worlds, each seen by one camera."""
 
-    qpos: np.ndarray
+    qpos: Array
     """Joint positions [B, nq]."""
-    geom_size: np.ndarray
+    geom_size: Array
     """Sizes (m) of the task's varied geoms [B, v, 3]."""
-    fixtures: np.ndarray
+    fixtures: Array
     """Poses (xyz, wxyz) of table, room and markers [B, 2 + markers, 7]."""
-    K: np.ndarray
+    K: Array
     """Intrinsics in pixels of the picture [B, 3, 3]; no skew."""
-    world_from_camera: np.ndarray
+    world_from_camera: Array
     """Camera poses [B, 4, 4], OpenCV axes."""
 
 
@@ -99,6 +100,17 @@ class Renderer:
         """Pictures, uint8 [B, H, W, 3], top row first."""
         return self._draw(view)[0]
 
+    def traced(self, view: View) -> jax.Array:
+        """`rgb` for use inside a compiled program, poses included: uint8 [B, H, W, 3]."""
+        count, full = len(view.qpos), -(-len(view.qpos) // self.batch) * self.batch
+        inputs = self._traced_inputs(View(*(jnp.asarray(x, jnp.float32) for x in view)))
+        groups = jax.tree.map(
+            lambda x: jnp.resize(x, (full, *x.shape[1:])).reshape(-1, self.batch, *x.shape[1:]),
+            inputs,
+        )
+        rgb = jax.lax.map(lambda group: self._shrink(self._kernel.program(group)[0]), groups)
+        return rgb.reshape(full, self.height, self.width, 3)[:count]
+
     def rgb_and_depth(self, view: View) -> tuple[np.ndarray, np.ndarray]:
         """Pictures uint8 [B, H, W, 3], and planar depth (m) float32 [B, H, W], inf where empty.
 
@@ -126,23 +138,64 @@ class Renderer:
         shape = (len(picture), self.height, n, self.width, n, 3)
         return picture.reshape(shape).mean((2, 4)).round().astype(np.uint8)
 
+    def _cameras(self, view: View) -> tuple[Array, Array, Array]:
+        """Positions, axes and intrinsics of the cameras, in the kernel's terms."""
+        xp = array_namespace(view.K)
+        eye, axes = to_mujoco(view.world_from_camera)
+        K = view.K * self.samples
+        middle = np.array([self.width, self.height]) * self.samples / 2
+        intrinsics = xp.stack([K[:, 0, 0], K[:, 1, 1], *(middle - K[:, :2, 2]).T], -1)
+        return eye, axes.reshape(-1, 3, 3), intrinsics
+
+    def _traced_inputs(self, view: View) -> "_Inputs":
+        """As `_inputs`, with MuJoCo Warp's kinematics."""
+        model, base = self._kernel.model, self._kernel.data
+        eye, axes, intrinsics = self._cameras(view)
+        sizes = jnp.broadcast_to(model.geom_size, (len(view.qpos), *model.geom_size.shape))
+
+        def poses(qpos: jax.Array, fixtures: jax.Array) -> tuple[jax.Array, ...]:
+            data = base.replace(
+                qpos=qpos,
+                mocap_pos=base.mocap_pos.at[self.scene.fixtures].set(fixtures[:, :3]),
+                mocap_quat=base.mocap_quat.at[self.scene.fixtures].set(fixtures[:, 3:]),
+            )
+            data = mjx.kinematics(model, data)
+            body = self.scene.visual.light_bodyid  # lights are fixed to their bodies
+            axes = data.xmat[body]
+            at = data.xpos[body] + (axes @ model.light_pos[..., None])[..., 0]
+            return data.geom_xpos, data.geom_xmat, at, (axes @ model.light_dir[..., None])[..., 0]
+
+        with jax.default_matmul_precision("highest"):
+            positions, rotations, lights, directions = jax.vmap(poses)(view.qpos, view.fixtures)
+        return _Inputs(
+            positions=positions,
+            rotations=rotations,
+            sizes=sizes.at[:, self._varied].set(view.geom_size),
+            eye=eye,
+            axes=axes,
+            intrinsics=intrinsics,
+            light_positions=lights,
+            light_directions=directions,
+        )
+
     def _inputs(self, view: View) -> "_Inputs":
         """Poses by MuJoCo's kinematics, cameras in MuJoCo's axes, intrinsics in its terms."""
         model, data, count = self.scene.visual, self._data, len(view.qpos)
         sizes = np.repeat(model.geom_size[None], count, 0)
         sizes[:, self._varied] = view.geom_size
-        eye, axes = to_mujoco(np.asarray(view.world_from_camera, float))
-        K = np.asarray(view.K, float) * self.samples
-        middle = np.array([self.width, self.height]) * self.samples / 2
+        eye, axes, intrinsics = self._cameras(
+            view._replace(
+                K=np.asarray(view.K, float),
+                world_from_camera=np.asarray(view.world_from_camera, float),
+            )
+        )
         inputs = _Inputs(
             positions=np.empty((count, model.ngeom, 3), np.float32),
             rotations=np.empty((count, model.ngeom, 3, 3), np.float32),
             sizes=sizes.astype(np.float32),
             eye=np.asarray(eye, np.float32),
-            axes=np.asarray(axes, np.float32).reshape(count, 3, 3),
-            intrinsics=np.stack(
-                [K[:, 0, 0], K[:, 1, 1], *(middle - K[:, :2, 2]).T], -1, dtype=np.float32
-            ),
+            axes=np.asarray(axes, np.float32),
+            intrinsics=np.asarray(intrinsics, np.float32),
             light_positions=np.empty((count, model.nlight, 3), np.float32),
             light_directions=np.empty((count, model.nlight, 3), np.float32),
         )
@@ -219,14 +272,14 @@ class _Kernel:
             depth = depth.reshape(batch, height, width)
             return rgb, jnp.where((depth <= 0) | (depth > _FAR), jnp.inf, depth)
 
-        self._program = program
+        self.model, self.data, self.program = mx, dx, program
 
     def __call__(self, inputs: "_Inputs") -> tuple[np.ndarray, np.ndarray]:
         count = len(inputs.eye)
         if count < self._batch:
             short = self._batch - count
             inputs = _Inputs(*(np.concatenate([x, np.repeat(x[-1:], short, 0)]) for x in inputs))
-        rgb, depth = self._program(inputs)
+        rgb, depth = self.program(inputs)
         return np.asarray(rgb)[:count], np.asarray(depth)[:count]
 
 

@@ -4,20 +4,24 @@ The policy is asked once per chunk for the whole batch, each episode seen by its
 chunk is executed open loop. Worlds that are done or have failed stay as they are.
 """
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxcam.actions import decode, measured
 from jaxcam.rays import invert
-from jaxcam.sim.engine import Command, Engine, Start, begin
+from jaxcam.rotations import Array, array_namespace
+from jaxcam.sim.engine import Command, Engine, Play, Progress, Start, State
 from jaxcam.sim.render import Renderer, View
 from jaxcam.sim.scene import Scene
 from jaxcam.sim.task import Task
 
 Act = Callable[[dict[str, np.ndarray], int], np.ndarray]
-"""`act(obs, call)`: observations of all episodes and number of the call, to chunks [B, T, A]."""
+"""`act(obs, call)`: observations of all episodes and number of the call, to chunks [B, T, A]. MJX
+engines want a `jax.tree_util.Partial`, so that new weights need no new compilation."""
 
 
 @dataclass(frozen=True)
@@ -64,56 +68,107 @@ def rollout(
         alive: [B] False for episodes that only fill the batch up; all when None.
         tick: called after every control step.
     """
-    base_from_camera = (invert(scene.world_from_base) @ world_from_camera).astype(np.float32)
-    state = engine.reset(start)
-    anchor = measured(space, state, scene.arm)
-    progress = begin(state, task.horizon, alive)
-    trace = [np.asarray(state.qpos)[None]]
-    call = 0
-    while np.any(active := np.asarray(progress.active)):
-        qpos, grip = np.asarray(progress.state.qpos), np.asarray(progress.state.grip_position)
-        obs = {
-            "image": _look(renderer, qpos, start, K, world_from_camera, active),
-            "K": K.astype(np.float32),
-            "base_from_camera": base_from_camera,
-            "proprio": scene.proprio(qpos, grip),
-        }
-        chunk = np.asarray(act(obs, call))[:, :execute]
-        call += 1
-        is_finite = np.asarray(np.isfinite(chunk).all((1, 2)))
-        # A world that is done sees black: its chunk is not used.
-        progress = progress._replace(alive=progress.alive & (is_finite | ~active))
-        chunk = np.where(is_finite[:, None, None], chunk, 0)
-        targets, gripper = decode(space, chunk, anchor)
-        progress, way = engine.play(progress, Command(targets, gripper), start, task.success, tick)
-        trace.append(np.asarray(way))
-        anchor = targets[:, -1]
+    turn = _turn(renderer, space, execute)
+    world_from_camera = np.asarray(world_from_camera)
+    inputs = _Inputs(
+        act=act,
+        K=np.asarray(K),
+        world_from_camera=world_from_camera,
+        base_from_camera=(invert(scene.world_from_base) @ world_from_camera).astype(np.float32),
+    )
+    progress, trace = engine.run(turn, inputs, start, task.success, task.horizon, alive, tick)
     return Rollouts(
         success=np.asarray(progress.success),
         steps=np.asarray(progress.steps),
         ok=np.asarray(progress.state.ok & progress.alive),
-        qpos=np.concatenate(trace),
+        qpos=np.asarray(trace),
     )
 
 
-def _look(
-    renderer: Renderer,
-    qpos: np.ndarray,
-    start: Start,
-    K: np.ndarray,
-    world_from_camera: np.ndarray,
-    active: np.ndarray,
-) -> np.ndarray:
-    """Pictures [B, V, H, W, 3] of the active episodes; the others' are black and never used."""
-    views = K.shape[1]
-    rows = np.flatnonzero(active)
-    pictures = np.zeros((len(active), views, renderer.height, renderer.width, 3), np.uint8)
-    view = View(
-        qpos=qpos[rows].repeat(views, 0),
-        geom_size=np.asarray(start.geom_size)[rows].repeat(views, 0),
-        fixtures=np.asarray(start.fixtures)[rows].repeat(views, 0),
-        K=K[rows].reshape(-1, 3, 3),
-        world_from_camera=world_from_camera[rows].reshape(-1, 4, 4),
-    )
-    pictures[rows] = renderer.rgb(view).reshape(len(rows), views, *pictures.shape[2:])
-    return pictures
+class OpenLoop:
+    """A turn that plays the commands [B, horizon, ...] it is given as inputs."""
+
+    def first(self, state: State) -> Array:
+        """Nothing is carried on."""
+        return state.closed
+
+    def __call__(
+        self,
+        play: Play,
+        progress: Progress,
+        carried: Array,
+        call: Array,
+        start: Start,
+        inputs: Command,
+    ) -> tuple[Progress, Array, Array]:
+        """Plays them."""
+        progress, way = play(progress, inputs)
+        return progress, carried, way
+
+
+class _Inputs(NamedTuple):
+    act: Act
+    K: Array
+    world_from_camera: Array
+    base_from_camera: Array
+
+
+class _PolicyTurn:
+    """Pictures to a chunk of actions to commands; carries the last target, which deltas add to."""
+
+    def __init__(self, renderer: Renderer, space: str, execute: int | None) -> None:
+        self._scene, self._renderer = renderer.scene, renderer
+        self._space, self._execute = space, execute
+
+    def first(self, state: State) -> Array:
+        return measured(self._space, state, self._scene.arm)
+
+    def __call__(
+        self,
+        play: Play,
+        progress: Progress,
+        carried: Array,
+        call: Array,
+        start: Start,
+        inputs: _Inputs,
+    ) -> tuple[Progress, Array, Array]:
+        xp, state, active = array_namespace(carried), progress.state, progress.active
+        obs = {
+            "image": self._look(state.qpos, start, inputs, active),
+            "K": inputs.K.astype(np.float32),
+            "base_from_camera": inputs.base_from_camera,
+            "proprio": self._scene.proprio(state.qpos, state.grip_position),
+        }
+        chunk = xp.asarray(inputs.act(obs, call))[:, : self._execute]
+        is_finite = xp.isfinite(chunk).all((1, 2))
+        # A world that is done sees black: its chunk is not used.
+        progress = progress._replace(alive=progress.alive & (is_finite | ~active))
+        chunk = xp.where(is_finite[:, None, None], chunk, 0)
+        targets, gripper = decode(self._space, chunk, carried)
+        progress, way = play(progress, Command(targets, gripper))
+        return progress, targets[:, -1], way
+
+    def _look(self, qpos: Array, start: Start, inputs: _Inputs, active: Array) -> Array:
+        """Pictures [B, V, H, W, 3] of the active episodes; the others' are black and never used."""
+        draw, xp = self._renderer, array_namespace(qpos)
+        count, views = inputs.K.shape[:2]
+        shape = (count, views, draw.height, draw.width, 3)
+        on_host = xp is np
+        rows = np.flatnonzero(active) if on_host else np.arange(count)
+        view = View(
+            qpos=qpos[rows].repeat(views, 0),
+            geom_size=start.geom_size[rows].repeat(views, 0),
+            fixtures=start.fixtures[rows].repeat(views, 0),
+            K=inputs.K[rows].reshape(-1, 3, 3),
+            world_from_camera=inputs.world_from_camera[rows].reshape(-1, 4, 4),
+        )
+        if not on_host:
+            seen = draw.traced(view).reshape(shape)
+            return xp.where(active[:, None, None, None, None], seen, 0)
+        pictures = np.zeros(shape, np.uint8)
+        pictures[rows] = draw.rgb(view).reshape(len(rows), *shape[1:])
+        return pictures
+
+
+# One turn for the same arguments: it is what a compiled program is known by.
+_turn = functools.lru_cache(8)(_PolicyTurn)

@@ -20,6 +20,7 @@ import mujoco
 import numpy as np
 
 from jaxcam.errors import ConfigError, closest
+from jaxcam.rotations import Array, array_namespace
 
 _disabled = logging.root.manager.disable
 logging.disable(logging.WARNING)  # robosuite warns of parts of it that are not used here
@@ -94,14 +95,15 @@ class Scene:
         """Address in qpos of the free joint (xyz, wxyz) of an object's body."""
         return int(self.physics.joint(f"{body}_joint0").qposadr[0])
 
-    def proprio(self, qpos: np.ndarray, grip_position: np.ndarray) -> np.ndarray:
+    def proprio(self, qpos: Array, grip_position: Array) -> Array:
         """What the robot feels, float32 [..., 11].
 
         Joint angles (rad) [7], grip site in the base frame (m) [3], opening of the fingers (m).
         """
         local = (grip_position - self.world_from_base[:3, 3]) @ self.world_from_base[:3, :3]
         opening = abs(qpos[..., self.fingers]).sum(-1, keepdims=True)
-        return np.concatenate([qpos[..., self.arm], local, opening], -1).astype(np.float32)
+        xp = array_namespace(qpos)
+        return xp.concatenate([qpos[..., self.arm], local, opening], -1).astype(np.float32)
 
 
 def prism(radius: float, half_height: float, sides: int) -> np.ndarray:
