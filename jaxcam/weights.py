@@ -7,17 +7,20 @@ shape, and everything in it must have a place here, or be known to have none.
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import tyro
 
 from jaxcam.errors import CheckpointError, run_main
 from jaxcam.fields import check_types, cli
 from jaxcam.models.names import MAPS, NameMap, recognise
+from jaxcam.models.policy import Params
 from jaxcam.torch_files import read_torch
 
 SHOWN = 5
@@ -101,7 +104,8 @@ def load(weights: Weights, params: Mapping[str, Any], *, new_stem: bool = False)
             f"{weights.path} is of an unknown kind. Known: {known}. Its names begin with "
             f"{', '.join(list(weights.arrays)[:SHOWN])}."
         )
-    kind, theirs = weights.kind, _fold_batch_norms(_cut(weights.arrays, weights.kind.prefix))
+    kind = weights.kind
+    theirs = _fold_batch_norms(kind.prepare(_cut(weights.arrays, kind.prefix)))
     left, missing, wrong = set(theirs), [], []
 
     def place(node: Mapping[str, Any], path: tuple[str, ...]) -> dict[str, Any]:
@@ -117,7 +121,7 @@ def load(weights: Weights, params: Mapping[str, Any], *, new_stem: bool = False)
                 missing.append(name)
             else:
                 left.discard(name)
-                array = _from_torch(theirs[name], key)
+                array = _from_torch(_as_linear(theirs[name], value.ndim), key)
                 if key == "kernel" and array.ndim == 4 and array.shape[2] == 3 < value.shape[2]:
                     array = value if new_stem else np.concatenate([array, value[:, :, 3:]], 2)
                 if array.shape != tuple(value.shape):
@@ -133,6 +137,18 @@ def load(weights: Weights, params: Mapping[str, Any], *, new_stem: bool = False)
     if missing or extra or wrong:
         raise CheckpointError(_complaint(weights, missing, extra, wrong))
     return filled
+
+
+def load_after(
+    init: Callable[[jax.Array], Params], weights: Weights, new_stem: bool
+) -> Callable[[jax.Array], Params]:
+    """A policy's `init`, with those of a file put in place of what it draws."""
+
+    def loaded(key: jax.Array) -> Params:
+        # Copies: an update donates its state, and must not be given memory that NumPy owns.
+        return jax.tree.map(jnp.array, load(weights, init(key), new_stem=new_stem))
+
+    return loaded
 
 
 def _cut(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
@@ -155,6 +171,11 @@ def _fold_batch_norms(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
             folded[norm + "frozen_scale"] = scale
             folded[norm + "frozen_bias"] = bias - mean * scale
     return folded
+
+
+def _as_linear(array: np.ndarray, ndim: int) -> np.ndarray:
+    """A 1x1 convolution as the matrix it is, where that is what we have."""
+    return array.reshape(array.shape[:ndim]) if set(array.shape[ndim:]) == {1} else array
 
 
 def _from_torch(array: np.ndarray, leaf: str) -> np.ndarray:

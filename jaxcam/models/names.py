@@ -8,9 +8,17 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from jaxcam.models.names_robot import (
+    Arrays,
+    Path,
+    lerobot_act,
+    lerobot_diffusion,
+    original_act,
+    prepare_act,
+    prepare_diffusion,
+    resnet18,
+)
 from jaxcam.models.smolvla_network import PRETRAINED
-
-Path = tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -23,6 +31,7 @@ class NameMap:
         theirs: Their name of the parameter at one of our paths; None if it keeps its value.
         prefix: Regular expression that is cut off their names first; what lacks it is left out.
         unused: Regular expression of their names that nothing here needs.
+        prepare: Brings their arrays, without the prefix, to the names that `theirs` gives.
     """
 
     title: str
@@ -30,6 +39,7 @@ class NameMap:
     theirs: Callable[[Path], str | None]
     prefix: str = ""
     unused: str = "(?!)"
+    prepare: Callable[[Arrays], Arrays] = dict
 
 
 _TEXT = {
@@ -98,29 +108,6 @@ def lerobot_smolvla(path: Path) -> str | None:
     return f"{_SMOLVLA[part]}.{_suffix(leaf)}" if part in _SMOLVLA else None
 
 
-def resnet18(path: Path) -> str | None:
-    """Torchvision's name for a part of a ResNet-18, which every policy calls `image`.
-
-    Batch norms are folded before: their scale and bias are called `frozen_scale`, `frozen_bias`.
-    """
-    if "image" not in path:
-        return None
-    *inner, leaf = path[path.index("image") + 1 :]
-    match inner:
-        case ["stem"]:
-            name = "conv1"
-        case ["norm"]:
-            name = "bn1"
-        case ["blocks", number, module]:
-            layer, block = divmod(int(number), 2)
-            ours = {"norm1": "bn1", "norm2": "bn2", "shortcut": "downsample.0"}
-            ours["shortcut_norm"] = "downsample.1"
-            name = f"layer{layer + 1}.{block}.{ours.get(module, module)}"
-        case _:
-            return None
-    return f"{name}.{leaf if leaf.startswith('frozen') else _suffix(leaf)}"
-
-
 MAPS = (
     NameMap(
         "SmolVLA (LeRobot)",
@@ -136,6 +123,31 @@ MAPS = (
         prefix=r"model\.",
         # SmolVLA takes its first layers.
         unused=r"text_model\.(norm|layers\.\d+)\..*",
+    ),
+    NameMap(
+        "ACT (LeRobot)",
+        r"model\.encoder_latent_input_proj\.weight",
+        lerobot_act,
+        prefix=r"model\.",
+        unused=r"vae_encoder_pos_enc",
+        prepare=prepare_act,
+    ),
+    NameMap(
+        "ACT (original)",
+        r"model\.latent_out_proj\.weight",
+        original_act,
+        prefix=r"model\.",
+        # Its decoder has layers whose output nothing reads.
+        unused=r"pos_table|transformer\.decoder\.layers\.[1-9]\d*\..*",
+        prepare=prepare_act,
+    ),
+    NameMap(
+        "Diffusion Policy (LeRobot)",
+        r"diffusion\.unet\.diffusion_step_encoder\.1\.weight",
+        lerobot_diffusion,
+        prefix=r"diffusion\.",
+        unused=r".*\.pool\.pos_grid",
+        prepare=prepare_diffusion,
     ),
     NameMap(
         "ResNet-18 (R3M)",
