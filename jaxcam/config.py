@@ -101,6 +101,12 @@ class TrainConfig:
     """Smallest side of a random crop as a share of the image; 1 is off."""
     model: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
     """Changes to the policy's network as name=value, for example width=256."""
+    weights: str = ""
+    """File of weights to start from: those of an image encoder or of a whole policy. What a file
+    is, `python -m jaxcam.weights FILE` tells."""
+    stem: Annotated[str, one_of("stem")] = "keep"
+    """A first convolution that also takes the ray-map keeps the weights' kernel for colours, or
+    starts anew, as the authors' does."""
 
     n: Annotated[FromPreset[int], default("the task's")] = PRESET
     """Cameras a demonstration is seen from."""
@@ -334,6 +340,8 @@ def _run_dir(values: dict[str, Any]) -> str:
         parts.append(f"n{values['n']}m{values['m']}")
     if values["views"] != usual.views:
         parts.append(f"{values['views']}views")
+    if values["weights"]:
+        parts.append(Path(values["weights"]).stem)
     if values["dataset"]:
         parts.append(Path(values["dataset"]).stem)
     return "runs/" + "-".join([*parts, str(values["seed"])])

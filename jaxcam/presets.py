@@ -24,6 +24,7 @@ NAMES: dict[str, tuple[str, ...]] = {
     "schedule": ("constant", "cosine"),
     "optimizer": ("adamw", "adam"),
     "precision": ("float32", "bfloat16"),
+    "stem": ("keep", "new"),
     "split": ("test", "validation"),
     "engine": ("auto", "native", "mjx-jax", "mjx-warp"),
 }

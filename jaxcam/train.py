@@ -5,6 +5,7 @@ Whatever exists is used; whatever was interrupted goes on when the same command 
 
 import dataclasses
 import functools
+import json
 import logging
 import shlex
 import sys
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from jaxcam.models import Policy
     from jaxcam.rundir import Interrupt, RunDir
     from jaxcam.state import TrainState
+    from jaxcam.weights import Weights
 
 VIDEOS = 16
 """Rollouts shown in the final video."""
@@ -43,10 +45,11 @@ def train(config: TrainConfig, console: "Console | None" = None) -> int:
     config = resolve(_like_its_dataset(config))
     with RunDir.open(config) as run:
         try:
+            weights = _weights(config, run)
             dataset = _dataset(config, console)
             policy = _policy(config, dataset)
             with interrupts() as stop:  # only here is there something to save
-                state = _fit(config, run, dataset, policy, stop, console)
+                state = _fit(config, run, dataset, policy, weights, stop, console)
             if stop:
                 _say_how_to_go_on(console, f"Stopped at update {int(state.step)} and saved.")
                 return stop.exit_code
@@ -119,11 +122,27 @@ def _policy(config: TrainConfig, dataset: "Dataset") -> "Policy":
     return make_policy(settings, spec, dataset.stats())
 
 
+def _weights(config: TrainConfig, run: "RunDir") -> "Weights | None":
+    """The weights a new run starts from, which are recorded; None without, or when resuming."""
+    from jaxcam.checkpoint import checkpoint_steps
+    from jaxcam.rundir import write_atomically
+    from jaxcam.weights import read_weights
+
+    if not config.weights or checkpoint_steps(run.path):
+        return None
+    weights = read_weights(config.weights)
+    kind = weights.kind.title if weights.kind else None
+    record = {"file": config.weights, "kind": kind, "sha256": weights.sha256}
+    write_atomically(run.path / "weights.json", json.dumps(record, indent=2) + "\n")
+    return weights
+
+
 def _fit(
     config: TrainConfig,
     run: "RunDir",
     dataset: "Dataset",
     policy: "Policy",
+    weights: "Weights | None",
     stop: "Interrupt",
     console: "Console | None",
 ) -> "TrainState":
@@ -136,6 +155,7 @@ def _fit(
     from jaxcam.data import stacked_batches
     from jaxcam.progress import progress
     from jaxcam.state import check_finite, init_state, make_optimizer, make_train_chunk
+    from jaxcam.weights import load_after
 
     root, tx = jax.random.key(config.seed), make_optimizer(config, policy.trained)
     crop = functools.partial(random_crop, smallest=config.crop_min)
@@ -155,7 +175,8 @@ def _fit(
         data=dataset.fingerprint,
     )
     with Checkpoints(run.checkpoints, keep=config.keep) as checkpoints:
-        state = init_state(policy.init, tx, root, ema=config.ema > 0)
+        init = load_after(policy.init, weights, config.stem == "new") if weights else policy.init
+        state = init_state(init, tx, root, ema=config.ema > 0)
         if restored := checkpoints.restore_latest(state, expect=side):
             state = restored.state
             run.rewind(int(state.step))
