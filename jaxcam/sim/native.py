@@ -19,6 +19,9 @@ from jaxcam.sim.scene import Scene
 _TOGETHER = 32
 """Worlds that go through a control step together, at most: few enough that their data stays in a
 core's cache, enough to share the fixed cost of the controller."""
+_LEAST = 12
+"""Worlds that a further thread is worth: with fewer, threads only wait for each other's controller,
+which holds the GIL."""
 _BAD = [
     int(mujoco.mjtWarning.mjWARN_BADQPOS),
     int(mujoco.mjtWarning.mjWARN_BADQVEL),
@@ -110,7 +113,8 @@ class NativeEngine(Engine):
 
     def _split(self, count: int) -> None:
         """Shares out `count` worlds."""
-        edges = np.linspace(0, count, min(count, self._threads) + 1).astype(int).tolist()
+        shares = min(self._threads, max(1, count // _LEAST))
+        edges = np.linspace(0, count, shares + 1).astype(int).tolist()
         self._places = [slice(*ends) for ends in itertools.pairwise(edges)]
         self._shares = [_Share(self.scene, place.stop - place.start) for place in self._places]
 
