@@ -68,6 +68,13 @@ class Upsample(nnx.Module):
         return jnp.stack([even, odd], 2).reshape(x.shape[0], -1, x.shape[-1]) + bias
 
 
+def mish(x: jax.Array) -> jax.Array:
+    """x tanh(log(1 + e^x)), written with one exponential: cheaper to compile and to run."""
+    e = jnp.exp(jnp.minimum(x, 20.0))  # beyond which it is x
+    n = e * (e + 2)
+    return x * n / (n + 2)
+
+
 class ConvBlock(nnx.Module):
     """Convolution, group norm, Mish."""
 
@@ -79,7 +86,7 @@ class ConvBlock(nnx.Module):
 
     def __call__(self, x: jax.Array) -> jax.Array:
         """Map [B, T, d_in] to [B, T, d_out]."""
-        return jax.nn.mish(self.norm(self.conv(x)))
+        return mish(self.norm(self.conv(x)))
 
 
 class ResidualBlock(nnx.Module):
@@ -204,8 +211,8 @@ class UNet(nnx.Module):
         Returns:
             Noise [B, T, A], float32.
         """
-        step = self.step2(jax.nn.mish(self.step1(step_embedding(t, self.d_step))))
-        condition = jax.nn.mish(jnp.concatenate([step, condition.astype(self.dtype)], -1))
+        step = self.step2(mish(self.step1(step_embedding(t, self.d_step))))
+        condition = mish(jnp.concatenate([step, condition.astype(self.dtype)], -1))
         local = jnp.broadcast_to(local[:, None], (*x.shape[:2], local.shape[-1]))
         early, late = [block(local, condition) for block in self.local] or (None, None)
         skips: list[jax.Array] = []
