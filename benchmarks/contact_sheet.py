@@ -1,9 +1,9 @@
-"""The contact sheet of the documentation: what the cameras of Lift see.
+"""The contact sheet of the documentation: what the cameras of each task see.
 
     python benchmarks/contact_sheet.py [--out docs/contact_sheet.png]
 
-Top row: the fixed scene from the test cameras. Middle: the randomised scene, a new episode in each
-tile. Bottom: one demonstration of the scripted expert in time, from one camera.
+Three rows a task: the fixed scene from the test cameras; the randomised scene, a new episode in
+each tile; one demonstration of the scripted expert in time, from one camera.
 """
 
 import argparse
@@ -18,45 +18,42 @@ from jaxcam.rays import sample_poses
 from jaxcam.sim import make_task
 from jaxcam.sim.native import NativeEngine
 from jaxcam.sim.render import Renderer, View
-from jaxcam.sim.scene import build_scene
-from jaxcam.sim.task import starts
+from jaxcam.sim.scene import SCENES
+from jaxcam.sim.task import Task, starts
 
 COLUMNS, TILE, GAP = 6, 184, 6
 TEST_CAMERAS, FIRST_EPISODE = 23, 7
+TASKS = ("lift", "pick_place_can", "square")
 
 
-def episodes(name: str) -> np.ndarray:
+def episodes(task: Task, name: str) -> np.ndarray:
     """Starts of episodes, each from a camera of its own; the fixed scene's is one start."""
-    task = make_task("lift")
-    scene = build_scene(task.objects(), name)
+    scene = task.scene(name)
     seeds = [FIRST_EPISODE + i * (name == "randomized") for i in range(COLUMNS)]
     start = starts(task, scene, seeds)
     K = np.tile(intrinsics(task.fovy_deg, TILE), (COLUMNS, 1, 1))
     cameras = sample_poses(task.cameras, COLUMNS, TEST_CAMERAS)
     view = View(start.qpos, start.geom_size, start.fixtures, K, cameras)
-    return Renderer(scene, TILE, varied=task.varied, samples=2).rgb(view)
+    return Renderer(scene, TILE, varied=task.varied, samples=2, batch=COLUMNS).rgb(view)
 
 
-def demonstration(camera: int) -> np.ndarray:
+def demonstration(task: Task, camera: int) -> np.ndarray:
     """An expert's episode at equal times, from one camera."""
-    task = make_task("lift")
-    scene = build_scene(task.objects(), "randomized")
+    scene = task.scene("randomized")
     engine = NativeEngine(scene, "osc_pose", varied=task.varied)
     demo = run_expert(task, scene, engine, [FIRST_EPISODE])[0]
     if demo is None:
         raise SystemExit(f"The expert failed in episode {FIRST_EPISODE}; choose another.")
     times = np.linspace(0, demo.length, COLUMNS).round().astype(int)
-    several = (COLUMNS, 1, 1)
+    pose = sample_poses(task.cameras, camera + 1, TEST_CAMERAS)[camera]
     view = View(
         qpos=demo.qpos(scene.physics.nq)[times],
-        geom_size=np.tile(demo.geom_size, several),
-        fixtures=np.tile(demo.fixtures, several),
-        K=np.tile(intrinsics(task.fovy_deg, TILE), several),
-        world_from_camera=np.tile(
-            sample_poses(task.cameras, camera + 1, TEST_CAMERAS)[camera], several
-        ),
+        geom_size=np.repeat(demo.geom_size[None], COLUMNS, 0),
+        fixtures=np.repeat(demo.fixtures[None], COLUMNS, 0),
+        K=np.tile(intrinsics(task.fovy_deg, TILE), (COLUMNS, 1, 1)),
+        world_from_camera=np.repeat(pose[None], COLUMNS, 0),
     )
-    return Renderer(scene, TILE, varied=task.varied, samples=2).rgb(view)
+    return Renderer(scene, TILE, varied=task.varied, samples=2, batch=COLUMNS).rgb(view)
 
 
 def sheet(rows: list[np.ndarray]) -> np.ndarray:
@@ -73,9 +70,13 @@ def sheet(rows: list[np.ndarray]) -> np.ndarray:
 def main() -> None:
     parser = argparse.ArgumentParser(description="Draws the documentation's contact sheet.")
     parser.add_argument("--out", type=Path, default=Path("docs/contact_sheet.png"))
-    parser.add_argument("--camera", type=int, default=10, help="test camera of the bottom row")
+    parser.add_argument("--camera", type=int, default=10, help="test camera of the demonstrations")
     args = parser.parse_args()
-    rows = [episodes("fixed"), episodes("randomized"), demonstration(args.camera)]
+    rows = []
+    for name in TASKS:
+        task = make_task(name)
+        rows += [episodes(task, scene) for scene in SCENES]
+        rows.append(demonstration(task, args.camera))
     matplotlib.image.imsave(args.out, sheet(rows))
     print(f"{args.out}: {args.out.stat().st_size / 1e3:.0f} kB")
 

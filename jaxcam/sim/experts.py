@@ -29,6 +29,8 @@ PATIENCE = 80
 LEVEL, LEAN = 0.58, 1.0
 """Distance (m) from the robot's base at which a hand points straight down, and the angle (rad) by
 which it leans away per metre beyond."""
+FAR, STRETCH = 0.72, 3.0
+"""Distance (m) beyond which it leans by so much (rad/m) more, or the elbow would be straight."""
 INSIDE, SLOPE = 0.012, 4.0
 """Of a funnel: distance to the side (m) within which a hand goes all the way down, and the height
 of the wall over the distance from there."""
@@ -60,7 +62,8 @@ def easy_grip(base: np.ndarray, at: np.ndarray, close: np.ndarray) -> np.ndarray
     out = (at - base)[:2]
     distance = np.linalg.norm(out)
     x, y = close[:2] / np.linalg.norm(close[:2])
-    lean = LEAN * (distance - LEVEL) * (out @ [y, -x]) / distance
+    lean = LEAN * (distance - LEVEL) + STRETCH * max(0, distance - FAR)
+    lean = lean * (out @ [y, -x]) / distance
     across = np.array([x, y, 0.0])
     down = np.array([np.sin(lean) * y, -np.sin(lean) * x, -np.cos(lean)])
     return np.stack([across, np.cross(down, across), down], -1)

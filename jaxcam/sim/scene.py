@@ -273,11 +273,13 @@ def _paint(spec: mujoco.MjSpec, name: str) -> None:
         "table_ceramic": [0.80, 0.78, 0.74, 1] if name == "randomized" else [0.72, 0.60, 0.47, 1],
         "walls_mat": [0.62, 0.66, 0.70, 1],
         "table_legs_metal": [0.45, 0.46, 0.48, 1],
+        "can_coke": [0.78, 0.10, 0.12, 1],
+        "nut_bmetal": [0.86, 0.60, 0.16, 1],
     }
-    for material_name, rgba in colours.items():
-        material = spec.material(material_name)
-        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = ""
-        material.rgba = rgba
+    for material in spec.materials:
+        if material.name in colours:
+            material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = ""
+            material.rgba = colours[material.name]
     spec.visual.headlight.ambient = [0.28, 0.28, 0.28]  # with the lights: no clipped whites
     spec.visual.headlight.diffuse = [0.12, 0.12, 0.12]
     spec.visual.headlight.specular = [0, 0, 0]

@@ -13,6 +13,8 @@ from jaxcam.sim.task import Aim, Sight, Task
 
 RADIUS, HALF_HEIGHT = 0.026, 0.040
 """Of robosuite's can (m); its origin is its centre."""
+GHOST_SIZE, GHOST_COLOUR = 0.85, "0.42 0.74 0.92 1"
+"""The ghost is smaller, so that the can hides it in the end: the ray tracer draws it solid."""
 PLACEMENT = 0.2
 """Half-range (m) of x and y of can and target on the table (authors' CanRand)."""
 APART = 0.15
@@ -40,7 +42,11 @@ class PickPlaceCan(Task):
 
     def objects(self) -> list[Any]:
         """The can, and its ghost where it belongs."""
-        return [CanObject(name="can"), CanVisualObject(name="target")]
+        ghost: Any = CanVisualObject(name="target")
+        ghost.set_scale(GHOST_SIZE)
+        for geom in ghost.get_obj().iter("geom"):
+            geom.set("rgba", GHOST_COLOUR)
+        return [CanObject(name="can"), ghost]
 
     def place(self, scene: Scene, rng: np.random.Generator, start: Start) -> None:
         """Both within 0.2 m of the table's centre, 0.15 m apart; the can 1 cm above the table."""
@@ -74,19 +80,23 @@ class PickPlaceCan(Task):
             height = funnel(sight.qpos[can] - target, 0, CARRY, inside=0.02)
             return sight.grip_position + target - sight.qpos[can] + [0, 0, height]
 
-        def easy() -> np.ndarray:
-            base = scene.world_from_base[:3, 3]
-            return easy_grip(base, sight.grip_position, np.array([0.0, 1.0, 0.0]))
+        def turned(mix: float) -> np.ndarray:
+            at = first + mix * (target - first)
+            return easy_grip(scene.world_from_base[:3, 3], at, np.array([0.0, 1.0, 0.0]))
+
+        # Not quite as is easy at the can and at the target: else it would be set down tilted.
+        first = sight.qpos[can].copy()
+        here, there = turned(0.3), turned(0.7)
 
         def above_can() -> np.ndarray:
             return np.add(sight.qpos[can], [0, 0, HOVER])
 
-        yield from hand.reach(above_can, OPEN, tolerance=0.04, turn=easy, stray=0.06)
-        yield from hand.reach(over_can, OPEN, tolerance=0.008, turn=easy, trim=0.05)
+        yield from hand.reach(above_can, OPEN, tolerance=0.04, turn=lambda: here, stray=0.06)
+        yield from hand.reach(over_can, OPEN, tolerance=0.008, turn=lambda: here, trim=0.05)
         yield from hand.hold(CLOSE, steps=8)
         up = np.add(sight.grip_position, [0, 0, CARRY])
         yield from hand.reach(lambda: up, CLOSE, tolerance=0.03)
-        yield from hand.reach(over_target, CLOSE, tolerance=0.012, turn=easy, trim=0.05)
+        yield from hand.reach(over_target, CLOSE, tolerance=0.012, turn=lambda: there, trim=0.05)
         yield from hand.hold(OPEN, steps=6)
         away = np.add(sight.grip_position, [0, 0, HOVER])
         yield from hand.reach(lambda: away, OPEN, tolerance=0.03)

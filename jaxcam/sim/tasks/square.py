@@ -16,9 +16,10 @@ NUT_HALF_HEIGHT, HANDLE = 0.010, 0.054
 along its x axis the handle's middle is."""
 PEG_RADIUS, PEG_HALF_LENGTH = 0.012, 0.05
 BASE_HALF_SIZE = (0.06, 0.06, 0.005)
-PEG_TOP = 2 * (BASE_HALF_SIZE[2] + PEG_HALF_LENGTH)
 DENSITY = 2000.0
 """The peg on its base (m, kg/m³), which stands freely (authors' SquareRand)."""
+PEG_TOP = 2 * (BASE_HALF_SIZE[2] + PEG_HALF_LENGTH)
+"""Height (m) of the peg above the table."""
 PLACEMENT = 0.18
 """Half-range (m) of x and y of nut and peg on the table (authors' SquareRand)."""
 APART = 0.17
@@ -54,8 +55,8 @@ def _peg() -> Any:
         ],
         geom_locations=[[0, 0, 0], middle, middle],
         locations_relative_to_center=True,
-        obj_types=["all", "collision", "visual"],
-        density=[DENSITY, DENSITY / filled, None],
+        obj_types=["all", "collision", "visual"],  # type: ignore[arg-type]
+        density=[DENSITY, DENSITY / filled, None],  # type: ignore[arg-type]
         rgba=[0.22, 0.36, 0.62, 1],
     )
 
@@ -160,7 +161,7 @@ def _over_peg(
 
     def cost(turn: float) -> float:
         at = peg + GRIP * about(turn) @ along
-        beyond = max(0, np.linalg.norm((at - base)[:2]) - REACH)
+        beyond = max(0.0, float(np.linalg.norm((at - base)[:2])) - REACH)
         return abs(turn) / 2 + _twist(base, at, about(turn) @ close) ** 2 + 30 * beyond
 
     return about(min(np.linspace(-np.pi, np.pi, 49), key=cost)) @ close
