@@ -89,6 +89,11 @@ def test_one_qpos_serves_both_models(scenes):
         np.testing.assert_allclose(*places, atol=1e-12)
 
 
+def test_many_worlds_fit_in_memory(scenes):
+    for scene in scenes.values():
+        assert mujoco.MjData(scene.physics).narena <= 2**24
+
+
 def test_table_and_room_are_moved_from_arrays(scenes):
     for scene in scenes.values():
         model = scene.visual
