@@ -62,8 +62,8 @@ SHEET_HALF_SIZE = 1.0
 """Half-size (m) of the wide table top of the randomised scene: it reaches under the robot wherever
 the draw puts it, so its edges tell nothing of the robot's pose."""
 WORLD_MEMORY = 2**24
-"""Bytes that a world's data reserves for contacts and scratch. robosuite's models ask for 1.3 GB and
-use a few hundred kB: a batch of worlds would not fit where memory cannot be promised."""
+"""Bytes that a world's data reserves for contacts and scratch. robosuite's models ask for 1.3 GB
+and use a few hundred kB: a batch of worlds would not fit where memory cannot be promised."""
 FIXTURES = ("table", "room")
 """Mocap bodies of the visual model, in the order of `fixtures` arrays."""
 GRIP_SITE = "gripper0_right_grip_site"
