@@ -101,7 +101,7 @@ class Evaluator:
         # Always worlds for `width`: neither policy nor compiled physics sees another size.
         filled = [*pairs, *[pairs[-1]] * (self.width - len(pairs))]
         seed, cameras = self._pairs(split, filled)
-        act = Partial(_Acting(jax.jit(policy.act)), params, jax.random.key(config.seed))
+        act = Partial(_Acting(policy.act), params, jax.random.key(config.seed))
         start = starts(task, self.scene, [seed + p for p in filled])
         K = np.broadcast_to(
             intrinsics(task.fovy_deg, config.resolution), (*cameras.shape[:2], 3, 3)
@@ -119,6 +119,7 @@ class Evaluator:
             policy.execute,
             np.arange(self.width) < len(pairs),
             tick,
+            policy.spec.obs_steps,
         )
         azimuth, elevation, distance = (
             np.asarray(x) for x in spherical(cameras[:, 0], np.array(task.cameras.centre))
@@ -196,7 +197,7 @@ class _Acting:
     act: Callable[..., jax.Array]
 
     def __call__(self, params: Any, root: jax.Array, obs: Any, number: jax.Array) -> jax.Array:
-        return self.act(params, obs, jax.random.fold_in(root, number))
+        return jax.jit(self.act)(params, obs, jax.random.fold_in(root, number))
 
 
 def evaluate(
