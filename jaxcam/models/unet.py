@@ -69,7 +69,7 @@ class Upsample(nnx.Module):
 
 
 def mish(x: jax.Array) -> jax.Array:
-    """x tanh(log(1 + e^x)), written with one exponential: cheaper to compile and to run."""
+    """Mish, x tanh(log(1 + e^x)), written with one exponential: cheaper to compile and to run."""
     e = jnp.exp(jnp.minimum(x, 20.0))  # beyond which it is x
     n = e * (e + 2)
     return x * n / (n + 2)
