@@ -119,6 +119,7 @@ class Evaluator:
             policy.execute,
             np.arange(self.width) < len(pairs),
             tick,
+            policy.spec.obs_steps,
         )
         azimuth, elevation, distance = (
             np.asarray(x) for x in spherical(cameras[:, 0], np.array(task.cameras.centre))

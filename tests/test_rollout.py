@@ -22,7 +22,7 @@ class ShortLift(Lift):
 
 @pytest.fixture
 def run(lift, scene, renderer):
-    def run(act, seeds, task=lift, views=1, execute=None):
+    def run(act, seeds, task=lift, views=1, execute=None, obs_steps=1):
         count = len(seeds)
         poses = sample_poses(lift.cameras, views * (max(seeds) + 1), 0)
         return rollout(
@@ -36,6 +36,7 @@ def run(lift, scene, renderer):
             poses.reshape(-1, views, 4, 4)[seeds],
             "eef_delta",
             execute,
+            obs_steps=obs_steps,
         )
 
     return run
@@ -145,3 +146,23 @@ def test_what_the_policy_sees(run, lift, scene, renderer):
             )
             np.testing.assert_array_equal(obs["image"][i, v], renderer.rgb(fresh)[0])
     assert (seen[1]["image"] != obs["image"]).any()
+
+
+@pytest.mark.parametrize(("obs_steps", "execute"), [(2, 3), (3, 2), (3, 1)])
+def test_several_observations_are_of_the_steps_before(run, scene, renderer, obs_steps, execute):
+    seen = []
+
+    def act(obs, call):
+        seen.append(obs)
+        return np.tile(np.array([0.02, 0, 0, 0, 0, 0, -1.0]), (2, CHUNK, 1))
+
+    done = run(act, [0, 1], ShortLift(), execute=execute, obs_steps=obs_steps)
+    assert len(done.qpos) == 8
+    assert seen[0]["image"].shape == (2, obs_steps, 1, renderer.height, renderer.width, 3)
+    for call, obs in enumerate(seen):
+        for s in range(obs_steps):
+            t = max(0, call * execute + s - (obs_steps - 1))
+            np.testing.assert_allclose(
+                obs["proprio"][:, s, :7], done.qpos[t][:, scene.arm], atol=1e-6
+            )
+    assert (seen[-1]["image"][:, 0] != seen[-1]["image"][:, -1]).any()

@@ -200,7 +200,7 @@ class Engine(Protocol):
                 )
                 way.append(progress.state.qpos)
                 tick()
-            return progress, np.stack(way)
+            return progress, np.reshape(way, (-1, *progress.state.qpos.shape))
 
         while progress.active.any():
             progress, carried, way = turn(play, progress, carried, np.array(call), start, inputs)

@@ -51,6 +51,7 @@ def rollout(
     execute: int | None = None,
     alive: np.ndarray | None = None,
     tick: Callable[[], None] = lambda: None,
+    obs_steps: int = 1,
 ) -> Rollouts:
     """Runs one episode per start until success or the task's horizon.
 
@@ -67,8 +68,10 @@ def rollout(
         execute: steps of a chunk that are executed; the whole chunk when None.
         alive: [B] False for episodes that only fill the batch up; all when None.
         tick: called after every control step.
+        obs_steps: observations the policy sees at once, see `PolicySpec`; before the start they are
+            the first one.
     """
-    turn = _turn(renderer, space, execute)
+    turn = _turn(renderer, space, execute, obs_steps)
     world_from_camera = np.asarray(world_from_camera)
     inputs = _Inputs(
         act=act,
@@ -113,40 +116,70 @@ class _Inputs(NamedTuple):
     base_from_camera: Array
 
 
+class _Seen(NamedTuple):
+    """What an observation is made of."""
+
+    qpos: Array
+    grip_position: Array
+
+
 class _PolicyTurn:
-    """Pictures to a chunk of actions to commands; carries the last target, which deltas add to."""
+    """Pictures to a chunk of actions to commands.
 
-    def __init__(self, renderer: Renderer, space: str, execute: int | None) -> None:
+    It carries the last target, which deltas add to, and what the steps before looked like, if the
+    policy sees several.
+    """
+
+    def __init__(self, renderer: Renderer, space: str, execute: int | None, obs_steps: int) -> None:
         self._scene, self._renderer = renderer.scene, renderer
-        self._space, self._execute = space, execute
+        self._space, self._execute, self._past = space, execute, obs_steps - 1
 
-    def first(self, state: State) -> Array:
-        return measured(self._space, state, self._scene.arm)
+    def first(self, state: State) -> tuple[Array, tuple[_Seen, ...]]:
+        before = (_Seen(state.qpos, state.grip_position),) * self._past
+        return measured(self._space, state, self._scene.arm), before
 
     def __call__(
         self,
         play: Play,
         progress: Progress,
-        carried: Array,
+        carried: tuple[Array, tuple[_Seen, ...]],
         call: Array,
         start: Start,
         inputs: _Inputs,
-    ) -> tuple[Progress, Array, Array]:
-        xp, state, active = array_namespace(carried), progress.state, progress.active
-        obs = {
-            "image": self._look(state.qpos, start, inputs, active),
-            "K": inputs.K.astype(np.float32),
-            "base_from_camera": inputs.base_from_camera,
-            "proprio": self._scene.proprio(state.qpos, state.grip_position),
-        }
+    ) -> tuple[Progress, tuple[Array, tuple[_Seen, ...]], Array]:
+        anchor, before = carried
+        xp, active = array_namespace(anchor), progress.active
+        seen = [*before, _Seen(progress.state.qpos, progress.state.grip_position)]
+        steps = [self._observe(one, start, inputs, active) for one in seen]
+        obs = {name: xp.stack([step[name] for step in steps], 1) for name in steps[0]}
+        obs = obs if self._past else steps[0]
         chunk = xp.asarray(inputs.act(obs, call))[:, : self._execute]
         is_finite = xp.isfinite(chunk).all((1, 2))
         # A world that is done sees black: its chunk is not used.
         progress = progress._replace(alive=progress.alive & (is_finite | ~active))
         chunk = xp.where(is_finite[:, None, None], chunk, 0)
-        targets, gripper = decode(self._space, chunk, carried)
-        progress, way = play(progress, Command(targets, gripper))
-        return progress, targets[:, -1], way
+        targets, gripper = decode(self._space, chunk, anchor)
+        way, begin, length = [], 0, targets.shape[1]
+        # Stops at the steps that the next turn looks back at.
+        for end in range(max(1, length - self._past), length + 1):
+            command = Command(targets[:, begin:end], gripper[:, begin:end])
+            progress, part = play(progress, command)
+            way.append(part)
+            begin = end
+            if end < length:
+                seen.append(_Seen(progress.state.qpos, progress.state.grip_position))
+        before = tuple(seen[len(seen) - self._past :])
+        return progress, (targets[:, -1], before), xp.concatenate(way)
+
+    def _observe(
+        self, seen: _Seen, start: Start, inputs: _Inputs, active: Array
+    ) -> dict[str, Array]:
+        return {
+            "image": self._look(seen.qpos, start, inputs, active),
+            "K": inputs.K.astype(np.float32),
+            "base_from_camera": inputs.base_from_camera,
+            "proprio": self._scene.proprio(seen.qpos, seen.grip_position),
+        }
 
     def _look(self, qpos: Array, start: Start, inputs: _Inputs, active: Array) -> Array:
         """Pictures [B, V, H, W, 3] of the active episodes; the others' are black and never used."""
