@@ -1,12 +1,11 @@
 """SigLIP's vision transformer as SmolVLM2 has it: no class token, learned positions, pre-norm."""
 
-from collections.abc import Callable
-
 import jax
 from flax import nnx
 from jax.typing import DTypeLike
 
 from jaxcam.models.smollm import NORMAL, dense
+from jaxcam.models.stack import through
 
 
 class SiglipLayer(nnx.Module):
@@ -80,14 +79,10 @@ class Siglip(nnx.Module):
         )
         self.norm = siglip_norm(width, rngs=rngs, dtype=dtype)
 
-    def __call__(self, images: jax.Array, remat: Callable) -> jax.Array:
-        """Map images [N, S, S, 3] in -1..1 to tokens [N, grid * grid, width], row by row.
-
-        ``remat`` wraps the function of a layer.
-        """
+    def __call__(self, images: jax.Array, *, remat: bool) -> jax.Array:
+        """Map images [N, S, S, 3] in -1..1 to tokens [N, grid * grid, width], row by row."""
         x = self.patch(images)
         x = x.reshape(x.shape[0], -1, x.shape[-1])
         x = x + self.position[...].astype(x.dtype)
-        for layer in self.layers:
-            x = remat(layer)(x)
+        x, _ = through(self.layers, lambda layer, x, _: (layer(x), None), x, remat=remat)
         return self.norm(x)

@@ -147,6 +147,8 @@ class SmolVlaConfig(CameraConfig):
             raise ConfigError(
                 "vision_width must be a multiple of vision_heads, and heads of kv_heads."
             )
+        if self.attention == "interleaved" and self.layers % 2:
+            raise ConfigError(f"Interleaved layers come in pairs, got {self.layers}.")
         if len(self.tokens) > MOST_TOKENS:
             raise ConfigError(
                 f"The prompt has {len(self.tokens)} tokens; SmolVLA takes {MOST_TOKENS}. "

@@ -5,8 +5,7 @@ LeRobot's. So the prefix is computed once, and what is left of it are its keys a
 holds in training as in sampling.
 """
 
-import functools
-from collections.abc import Callable
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import jax
@@ -23,12 +22,16 @@ from jaxcam.models.policy import Obs, PolicySpec
 from jaxcam.models.resnet import RayEncoder, space_to_depth
 from jaxcam.models.siglip import Siglip
 from jaxcam.models.smollm import NORMAL, KeyValue, Layer, dense, rms_norm
+from jaxcam.models.stack import through
 
 if TYPE_CHECKING:
     from jaxcam.models.smolvla import SmolVlaConfig
 
-Prefix = list[KeyValue]
-"""What every layer of the expert may read of images, words and state."""
+Prefix = tuple[KeyValue, ...]
+"""What the expert may read of images, words and state: one for each of the layers that follow each
+other in turn, with all their repetitions along the first axis."""
+
+Block = tuple[Layer, ...]
 
 PRETRAINED = ("vision", "connector", "embed", "text")
 """Parts that come from the vision language model; all others start at random."""
@@ -68,6 +71,7 @@ class SmolVla(nnx.Module):
     def __init__(self, config: "SmolVlaConfig", spec: PolicySpec, *, rngs: nnx.Rngs):
         dtype, width, expert = config.dtype, config.width, config.expert_width
         self.config = config
+        self.turn = 2 if config.attention == "interleaved" else 1
         self.vision = Siglip(
             config.image_size,
             config.patch,
@@ -138,9 +142,14 @@ class SmolVla(nnx.Module):
         time = time_embedding(time, x.shape[-1]).astype(x.dtype)
         x = jnp.concatenate([x, jnp.broadcast_to(time[:, None], x.shape)], -1)
         x = self.time_out(jax.nn.silu(self.time_in(x)))
-        for i, (layer, context) in enumerate(zip(self.expert, prefix, strict=True)):
-            step = _cross_layer if self.config.crosses(i) else _joint_layer
-            x = self._remat(functools.partial(step, layer))(x, context)
+        crosses = [self.config.crosses(i) for i in range(self.turn)]
+
+        def step(block: Block, x: jax.Array, contexts: Prefix) -> tuple[jax.Array, None]:
+            for layer, context, cross in zip(block, contexts, crosses, strict=True):
+                x = (_cross_layer if cross else _joint_layer)(layer, x, context)
+            return x, None
+
+        x, _ = through(self._turns(self.expert), step, x, prefix, remat=self.config.remat)
         return self.action_out(self.norm(x).astype(jnp.float32))
 
     def _read(self, x: jax.Array) -> Prefix:
@@ -149,17 +158,23 @@ class SmolVla(nnx.Module):
         mask = np.tri(len(positions), dtype=bool)
         if self.config.mask == "blocks":
             mask[:-1, :-1] = True
+        crosses = [self.config.crosses(i) for i in range(self.turn)]
 
-        def step(layer: Layer, x: jax.Array) -> tuple[jax.Array, KeyValue]:
-            y = layer.norm1(x)
-            context = layer.keys_values(y, positions)
-            return layer.attend(x, layer.queries(y, positions), context, mask), context
+        def step(blocks: tuple[Block, Block], x: jax.Array, _: None) -> tuple[jax.Array, Prefix]:
+            contexts = []
+            for layer, reader, cross in zip(*blocks, crosses, strict=True):
+                y = layer.norm1(x)
+                context = layer.keys_values(y, positions)
+                x = layer.attend(x, layer.queries(y, positions), context, mask)
+                contexts.append(reader.read(context) if cross else context)
+            return x, tuple(contexts)
 
-        prefix = []
-        for i, (layer, reader) in enumerate(zip(self.text, self.expert, strict=True)):
-            x, context = self._remat(functools.partial(step, layer))(x)
-            prefix.append(reader.read(context) if self.config.crosses(i) else context)
-        return prefix
+        both = list(zip(self._turns(self.text), self._turns(self.expert), strict=True))
+        return through(both, step, x, remat=self.config.remat)[1]
+
+    def _turns(self, layers: Sequence[Layer]) -> list[Block]:
+        """Layers in groups that look alike: single ones, or pairs if every other one differs."""
+        return [tuple(layers[i : i + self.turn]) for i in range(0, len(layers), self.turn)]
 
     def _images(self, obs: Obs) -> jax.Array:
         """Tokens of every picture, [B * V, tokens, width]."""
@@ -169,7 +184,7 @@ class SmolVla(nnx.Module):
         shape = (x.shape[0], config.image_size, config.image_size, 3)
         # Bilinear as PyTorch's interpolation is: half-pixel centres, nothing filtered.
         x = jax.image.resize(x, shape, "bilinear", antialias=False)
-        x = self.vision(x.astype(config.dtype), self._remat)
+        x = self.vision(x.astype(config.dtype), remat=config.remat)
         if self.fusion is not None:
             authors = config.ray_convention == "authors"
             rays = grid_rays(config, obs, *pictures.shape[1:3], authors=authors)
@@ -178,9 +193,6 @@ class SmolVla(nnx.Module):
         grid = self.vision.grid
         x = space_to_depth(x.reshape(-1, grid, grid, x.shape[-1]), config.shuffle)
         return self.connector(x.reshape(x.shape[0], -1, x.shape[-1]))
-
-    def _remat(self, layer: Callable) -> Callable:
-        return jax.checkpoint(layer) if self.config.remat else layer
 
 
 def _joint_layer(layer: Layer, x: jax.Array, context: KeyValue) -> jax.Array:
