@@ -12,7 +12,8 @@ from jaxcam.rays import sample_poses
 from jaxcam.rotations import array_namespace, rotvec_from_matrix
 from jaxcam.sim import engine_name, make_engine
 from jaxcam.sim.engine import Command, Start
-from jaxcam.sim.mjx import MjxEngine, _check_pairs
+from jaxcam.sim.mjx import MjxEngine
+from jaxcam.sim.mjx_model import check_pairs
 from jaxcam.sim.native import NativeEngine
 from jaxcam.sim.rollout import OpenLoop, rollout
 from jaxcam.sim.task import starts
@@ -85,7 +86,7 @@ def test_fifty_control_steps_are_as_native(lift, scene, start, warp, controller)
 
 
 def test_sizes_become_the_model_that_mujoco_derives(lift, scene, start, warp):
-    found = warp["osc_pose"]._bodies(start.geom_size)
+    found = warp["osc_pose"]._bodies(start)
     geom, body = scene.physics.geom("cube_g0").id, scene.physics.body("cube_main").id
     for i, half in enumerate(start.geom_size[:, 0]):
         spec = mujoco.MjSpec()
@@ -203,7 +204,7 @@ def test_jax_refuses_pairs_by_name():
         </worldbody></mujoco>"""
     )
     with pytest.raises(ConfigError, match=r"cannot collide (crate|tin) with (crate|tin).*native"):
-        _check_pairs(model)
+        check_pairs(model)
 
 
 def replayed(engine, demos, lift, scene, extra=0):

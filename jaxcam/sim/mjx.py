@@ -4,7 +4,6 @@
 it also runs where Warp does not (TPU), but it refuses some pairs of geoms. Both compute in float32.
 """
 
-import copy
 import functools
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
@@ -14,10 +13,9 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 from mujoco import mjx
-from mujoco.mjx._src import collision_driver
 
 import jaxcam.sim.render  # noqa: F401  (starts Warp without its greeting)
-from jaxcam.errors import ConfigError, SimError
+from jaxcam.errors import SimError
 from jaxcam.rotations import Array, matrix_from_rotvec
 from jaxcam.sim import controllers
 from jaxcam.sim.controllers import ArmState
@@ -33,11 +31,18 @@ from jaxcam.sim.engine import (
     begin,
     control_step,
 )
+from jaxcam.sim.mjx_model import (
+    Bodies,
+    bare,
+    check_pairs,
+    filtered,
+    full_from_sparse,
+    pair_count,
+    resized,
+)
 from jaxcam.sim.scene import Scene
 
 Impl = Literal["jax", "warp"]
-Bodies = dict[str, jax.Array]
-"""Fields of the model that differ between worlds [B, ...]."""
 
 _OVERFLOWS = {
     1 << 0: "rows",  # more constraint rows in a world than njmax
@@ -66,8 +71,9 @@ class MjxEngine(Engine):
         varied: geoms whose sizes differ between episodes (`Start.geom_size`); each must be the only
             geom with mass of its free body, which must be a box of uniform density.
         impl: `warp` or `jax`.
-        contacts: room for contacts, per world on average over the batch (`warp`).
-        rows: room for constraint rows in each world, three for most contacts (`warp`).
+        contacts: room for contacts, per world on average over the batch (`warp`); when None, two
+            for each pair of geoms that may meet, at most 64.
+        rows: room for constraint rows in each world (`warp`); when None, four for each contact.
 
     Raises:
         ConfigError: if MJX-JAX cannot collide two of the scene's geoms.
@@ -80,30 +86,32 @@ class MjxEngine(Engine):
         varied: Sequence[str] = (),
         impl: Impl = "warp",
         *,
-        contacts: int = 32,
-        rows: int = 128,
+        contacts: int | None = None,
+        rows: int | None = None,
     ) -> None:
         self.scene, self.impl = scene, impl
         self.controller: ControllerName = controller
         self.substeps = round(1 / controllers.CONTROL_HZ / scene.physics.opt.timestep)
-        self._room = {"contacts": contacts, "rows": rows}
         self._varied = [scene.physics.geom(name).id for name in varied]
         self._limits = scene.physics.actuator_ctrlrange[scene.arm].T.astype(np.float32)
-        model = _filtered(scene.physics)
+        model = filtered(scene.physics)
         if impl == "jax":
-            _check_pairs(model)
+            check_pairs(model)
+        # Time goes with the room: twice the rows cost a third of the speed.
+        room = contacts or min(64, 2 * pair_count(model) + 2)
+        self._room = {"contacts": room, "rows": rows or 4 * room}
         self._host_model = model
         self._body = int(model.site_bodyid[scene.grip_site])
         self._model = mjx.put_model(model, impl=impl)
         if impl == "warp":  # overflows are read from the data; a print from a kernel is no error
             self._model = self._model.tree_replace({"opt._impl.warn_overflow": 0})
-        self._bare = self._model if impl == "jax" else mjx.put_model(_bare(model), impl="warp")
-        self._mass_at = _full_from_sparse(model)[np.ix_(scene.arm, scene.arm)]
+        self._bare = self._model if impl == "jax" else mjx.put_model(bare(model), impl="warp")
+        self._mass_at = full_from_sparse(model)[np.ix_(scene.arm, scene.arm)]
         self._scratch = functools.cache(self._make_scratch)
         self._overflow = 0
         on_cpu = jax.default_backend() == "cpu"
         jit = functools.partial(jax.jit, compiler_options=_CPU_OPTIONS if on_cpu else None)
-        self._jit_begin = jit(lambda start: (self._state(start), self._bodies(start.geom_size)))
+        self._jit_begin = jit(lambda start: (self._state(start), self._bodies(start)))
         self._jit_advance = jit(self._advance)
         self._jit_run = jit(self._run, static_argnums=(0, 1, 2))
 
@@ -161,7 +169,7 @@ class MjxEngine(Engine):
         start: Start,
         alive: Array | None,
     ) -> tuple[Progress, jax.Array]:
-        state, bodies = self._state(start), self._bodies(start.geom_size)
+        state, bodies = self._state(start), self._bodies(start)
         progress = jax.tree.map(jnp.asarray, begin(state, horizon, alive))
         play = functools.partial(self._play, success, bodies, start)
 
@@ -229,39 +237,9 @@ class MjxEngine(Engine):
             ok=jnp.ones(count, bool),
         )
 
-    def _bodies(self, sizes: Array) -> Bodies:
-        """Fields of the model that follow from boxes' half-sizes [B, v, 3].
-
-        As MuJoCo's compiler and `mj_setConst` derive them for a free body.
-        """
-        host, count = self._host_model, len(sizes)
-        if not self._varied:
-            return {}
-        names = ("geom_size", "geom_rbound", "geom_aabb", "body_mass", "body_inertia")
-        names += ("body_subtreemass", "body_invweight0", "dof_invweight0")
-        field = {n: jnp.asarray(getattr(host, n), jnp.float32) for n in names}
-        field = {n: jnp.tile(x, (count, *[1] * x.ndim)) for n, x in field.items()}
-
-        def put(name: str, where: Any, value: jax.Array) -> None:
-            field[name] = field[name].at[:, *where].set(value)
-
-        for i, geom in enumerate(self._varied):
-            half, body = jnp.asarray(sizes, jnp.float32)[:, i], int(host.geom_bodyid[geom])
-            dof = int(host.body_dofadr[body])
-            density = host.body_mass[body] / (8 * host.geom_size[geom].prod())
-            mass = 8 * half.prod(-1) * density
-            inertia = mass[:, None] / 3 * ((half**2).sum(-1, keepdims=True) - half**2)
-            slow, spin = 1 / mass, (1 / inertia).mean(-1)
-            put("geom_size", (geom,), half)
-            put("geom_rbound", (geom,), jnp.linalg.norm(half, axis=-1))
-            put("geom_aabb", (geom, slice(3, 6)), half)
-            put("body_mass", (body,), mass)
-            put("body_subtreemass", (body,), mass)
-            put("body_inertia", (body,), inertia)
-            put("body_invweight0", (body,), jnp.stack([slow, spin], -1))
-            put("dof_invweight0", (slice(dof, dof + 3),), slow[:, None])
-            put("dof_invweight0", (slice(dof + 3, dof + 6),), spin[:, None])
-        return {n: x.reshape(count, *getattr(self._model, n).shape) for n, x in field.items()}
+    def _bodies(self, start: Start) -> Bodies:
+        fields = resized(self._host_model, self._varied, start.geom_size)
+        return {n: x.reshape(-1, *getattr(self._model, n).shape) for n, x in fields.items()}
 
     def _advance(self, bodies: Bodies, state: State, command: Command, active: Array) -> State:
         """One control step of every world; those that do not run stay as they are."""
@@ -402,51 +380,3 @@ class _Scratch(NamedTuple):
     full: mjx.Data
     bare: mjx.Data
     """With no room for contacts."""
-
-
-def _filtered(model: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy of the model in which the floor meets nothing but free bodies.
-
-    The gripper cannot reach the floor, and every pair of geoms costs MJX time whether they touch or
-    not: MJX-JAX computes all of them, always.
-    """
-    model = copy.copy(model)
-    free = model.body_dofnum[model.body_rootid] == 6
-    planes = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
-    lowest = 1 << 16  # a bit of contype and conaffinity that robosuite leaves alone
-    model.geom_contype[planes], model.geom_conaffinity[planes] = lowest, 0
-    model.geom_conaffinity[free[model.geom_bodyid]] |= lowest
-    return model
-
-
-def _check_pairs(model: mujoco.MjModel) -> None:
-    """Refuses pairs of geoms that MJX-JAX cannot collide, all at once and by name."""
-    bad = [
-        (model.geom(a).name, model.geom(b).name)
-        for a, b, _ in collision_driver.geom_pairs(model)
-        if not collision_driver.has_collision_fn(model.geom_type[a], model.geom_type[b])
-    ]
-    if bad:
-        pairs = ", ".join(f"{a} with {b}" for a, b in bad)
-        raise ConfigError(
-            f"Engine mjx-jax cannot collide {pairs}. Engines that can: mjx-warp, native."
-        )
-
-
-def _bare(model: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy of the model without contacts and constraints."""
-    model = copy.copy(model)
-    model.geom_contype[:] = model.geom_conaffinity[:] = 0
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-    return model
-
-
-def _full_from_sparse(model: mujoco.MjModel) -> np.ndarray:
-    """Where the entries of the full inertia matrix [nv, nv] are in the sparse one.
-
-    Zeros of the matrix point anywhere: all joints of an arm move each other.
-    """
-    data, full = mujoco.MjData(model), np.empty((model.nv, model.nv))
-    data.M[:] = np.arange(len(data.M))
-    mujoco.mj_fullM(model, data, full)
-    return full.astype(int)
