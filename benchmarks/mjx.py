@@ -26,9 +26,8 @@ from jaxcam.demos import read_demos
 from jaxcam.presets import NAMES
 from jaxcam.rotations import rotvec_from_matrix
 from jaxcam.sim import make_engine, make_task
-from jaxcam.sim.engine import Command, Engine, Start, State
+from jaxcam.sim.engine import Command, Engine, OpenLoop, Start, State
 from jaxcam.sim.mjx import MjxEngine
-from jaxcam.sim.rollout import OpenLoop
 from jaxcam.sim.task import starts
 
 OPEN_LOOP = OpenLoop()

@@ -215,6 +215,8 @@ class ReplayConfig:
     """HDF5 file of demonstrations."""
     action_space: Annotated[tuple[str, ...], one_of("action_space")] = ()
     """Action spaces to replay in; the paper's four unless given."""
+    engine: Annotated[str, one_of("engine")] = "auto"
+    """What steps the physics."""
 
     def __post_init__(self) -> None:
         check_types(self)

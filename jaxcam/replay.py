@@ -22,9 +22,8 @@ from jaxcam.actions import ACTION_SPACES, controller_of, decode, demo_actions, m
 from jaxcam.demos import Demo, read_demos
 from jaxcam.errors import run_main
 from jaxcam.progress import progress
-from jaxcam.sim import make_task
-from jaxcam.sim.engine import Command, Start
-from jaxcam.sim.native import NativeEngine
+from jaxcam.sim import make_engine, make_task
+from jaxcam.sim.engine import Command, Engine, OpenLoop, Start
 from jaxcam.sim.scene import Scene
 from jaxcam.sim.task import Task
 
@@ -34,15 +33,11 @@ SETTLE = 20
 """Control steps for which the last command is kept: the authors' recordings end 20 steps after
 success, ours at the expert's last aim."""
 BATCH = 50
+OPEN_LOOP = OpenLoop()
 
 
 def replay(
-    demos: Sequence[Demo],
-    space: str,
-    task: Task,
-    scene: Scene,
-    engine: NativeEngine,
-    tick: Callable[[], None] = lambda: None,
+    demos: Sequence[Demo], space: str, task: Task, scene: Scene, engine: Engine
 ) -> np.ndarray:
     """Executes demonstrations side by side in one action space.
 
@@ -52,29 +47,21 @@ def replay(
         task: whose success counts.
         scene: of the demonstrations.
         engine: with the space's controller.
-        tick: called after every control step.
 
     Returns:
-        Whether each succeeded at any step, bool [D].
+        Whether each succeeded at any step of its own, bool [D].
     """
     start = Start(
         qpos=np.stack([d.states[0, 1 : 1 + scene.physics.nq] for d in demos]),
         geom_size=np.stack([d.geom_size for d in demos]),
         fixtures=np.stack([d.fixtures for d in demos]),
     )
-    state = engine.reset(start)
     lengths = np.array([d.length for d in demos]) + SETTLE
     actions = [_held(demo_actions(d, space, scene), space, max(lengths)) for d in demos]
-    targets, gripper = decode(space, np.stack(actions), measured(space, state, scene.arm))
-    success = np.zeros(len(demos), bool)
-    for t in range(max(lengths)):
-        active = ~success & (t < lengths) & state.ok
-        if not active.any():
-            break
-        state = engine.step(state, Command(targets[:, t], gripper[:, t]), active)
-        success |= active & state.ok & task.success(scene, state, start)
-        tick()
-    return success
+    anchor = measured(space, engine.reset(start), scene.arm)
+    command = Command(*decode(space, np.stack(actions), anchor))
+    progress, _ = engine.run(OPEN_LOOP, command, start, task.success, max(lengths))
+    return np.asarray(progress.success) & (np.asarray(progress.steps) <= lengths)
 
 
 def _held(actions: np.ndarray, space: str, length: int) -> np.ndarray:
@@ -91,16 +78,30 @@ def replay_all(
     task: Task,
     scene: Scene,
     spaces: Sequence[str] = ACTION_SPACES,
-    tick: Callable[[], None] = lambda: None,
+    engine: str = "native",
+    tick: Callable[[int], None] = lambda count: None,
 ) -> dict[str, np.ndarray]:
-    """Whether each demonstration succeeds in each space, bool [D] by name."""
+    """Whether each demonstration succeeds in each space, bool [D] by name.
+
+    Args:
+        demos: the demonstrations.
+        task: whose success counts.
+        scene: of the demonstrations.
+        spaces: action spaces.
+        engine: name of the physics engine.
+        tick: called with the number of demonstrations that were replayed.
+    """
+    engines: dict[str, Engine] = {}
     found = {}
     for space in spaces:
-        engine = NativeEngine(scene, controller_of(space), varied=task.varied)
-        parts = [
-            replay(demos[i : i + BATCH], space, task, scene, engine, tick)
-            for i in range(0, len(demos), BATCH)
-        ]
+        controller = controller_of(space)
+        if controller not in engines:
+            engines[controller] = make_engine(engine, scene, controller, task.varied)
+        parts = []
+        for i in range(0, len(demos), BATCH):
+            batch = demos[i : i + BATCH]
+            parts.append(replay(batch, space, task, scene, engines[controller]))
+            tick(len(batch))
         found[space] = np.concatenate(parts)
     return found
 
@@ -114,9 +115,8 @@ def main() -> None:
     scene = task.scene(data.header.scene)
     demos = data.train + data.valid
     spaces = config.action_space or ACTION_SPACES
-    steps = sum(max(d.length for d in demos[i : i + BATCH]) for i in range(0, len(demos), BATCH))
-    with progress(console, "replaying", steps * len(spaces)) as advance:
-        found = replay_all(demos, task, scene, spaces, advance)
+    with progress(console, "replaying", len(demos) * len(spaces)) as advance:
+        found = replay_all(demos, task, scene, spaces, config.engine, advance)
     table = Table(title=f"{data.header.task}, {data.header.scene}: {len(demos)} demonstrations")
     for column in ("action space", "succeed", "rate", "fail"):
         table.add_column(column, justify="left" if column != "rate" else "right")

@@ -27,7 +27,7 @@ from jaxcam.demos import Demo, Demos, DemoWriter, read_demos
 from jaxcam.errors import DatasetError, JaxcamError, closest, run_main
 from jaxcam.locks import exclusive
 from jaxcam.progress import progress
-from jaxcam.replay import BATCH, replay_all
+from jaxcam.replay import replay_all
 from jaxcam.robosuite_model import (
     Controller,
     Origin,
@@ -302,13 +302,9 @@ def success_of(demos: Demos, console: Console | None = None) -> tuple[np.ndarray
     scene = task.scene(demos.header.scene)
     every = demos.train + demos.valid
     recorded = np.array([_ever_succeeds(demo, task, scene) for demo in every])
-    replayed = []
     with progress(console, "replaying", len(every)) as advance:
-        for i in range(0, len(every), BATCH):
-            part = every[i : i + BATCH]
-            replayed.append(replay_all(part, task, scene, ("eef_abs",))["eef_abs"])
-            advance(len(part))
-    return recorded, np.concatenate(replayed)
+        replayed = replay_all(every, task, scene, ("eef_abs",), tick=advance)["eef_abs"]
+    return recorded, replayed
 
 
 def _ever_succeeds(demo: Demo, task: Task, scene: Scene) -> bool:

@@ -11,11 +11,11 @@ from jaxcam.frames import intrinsics
 from jaxcam.rays import sample_poses
 from jaxcam.rotations import array_namespace, rotvec_from_matrix
 from jaxcam.sim import engine_name, make_engine
-from jaxcam.sim.engine import Command, Start
+from jaxcam.sim.engine import Command, OpenLoop, Start
 from jaxcam.sim.mjx import MjxEngine
 from jaxcam.sim.mjx_model import check_pairs
 from jaxcam.sim.native import NativeEngine
-from jaxcam.sim.rollout import OpenLoop, rollout
+from jaxcam.sim.rollout import rollout
 from jaxcam.sim.task import starts
 from jaxcam.sim.tasks.lift import Lift
 

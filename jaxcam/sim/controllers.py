@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxcam.rotations import Array, array_namespace
+from jaxcam.rotations import Array, array_namespace, matrix_from_rotvec
+from jaxcam.sim.engine import ControllerName
 
 CONTROL_HZ = 20
 """Control steps per second (paper, and robosuite's default)."""
@@ -84,6 +85,24 @@ def joint_position(arm: ArmState, target: Array) -> Array:
     """Joint torques (N m) [..., 7] that bring the arm to joint angles `target` (rad) [..., 7]."""
     acceleration = JOINT_KP * (target - arm.q) - 2 * np.sqrt(JOINT_KP) * arm.qd
     return _apply(arm.mass, acceleration) + arm.bias
+
+
+def goal(controller: ControllerName, target: Array, rest: Array) -> tuple[Array, ...]:
+    """What a controller is asked for in a control step, as its arguments behind the arm's state.
+
+    Args:
+        controller: its name.
+        target: of the command (`jaxcam.sim.engine.Command`).
+        rest: joint angles (rad) [..., 7] that OSC's null space is pulled to.
+    """
+    if controller == "joint_position":
+        return (target,)
+    return target[..., :3], matrix_from_rotvec(target[..., 3:]), rest
+
+
+def torque(controller: ControllerName, arm: ArmState, *goal: Array) -> Array:
+    """Joint torques (N m) [..., 7] of the controller of that name, not yet clipped."""
+    return (joint_position if controller == "joint_position" else osc_pose)(arm, *goal)
 
 
 def gripper_command(closed: Array, action: Array) -> Array:

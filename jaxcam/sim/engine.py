@@ -148,6 +148,27 @@ class Turn(Protocol):
         ...
 
 
+class OpenLoop:
+    """A turn that plays the commands [B, horizon, ...] it is given as inputs."""
+
+    def first(self, state: State) -> Array:
+        """Nothing is carried on."""
+        return state.closed
+
+    def __call__(
+        self,
+        play: Play,
+        progress: Progress,
+        carried: Array,
+        call: Array,
+        start: Start,
+        inputs: Command,
+    ) -> tuple[Progress, Array, Array]:
+        """Plays them."""
+        progress, way = play(progress, inputs)
+        return progress, carried, way
+
+
 class Engine(Protocol):
     """Steps a batch of worlds of one scene with one controller."""
 

@@ -16,8 +16,9 @@ from mujoco import mjx
 
 import jaxcam.sim.render  # noqa: F401  (starts Warp without its greeting)
 from jaxcam.errors import SimError
-from jaxcam.rotations import Array, matrix_from_rotvec
+from jaxcam.rotations import Array
 from jaxcam.sim import controllers
+from jaxcam.sim.bodies import full_from_sparse
 from jaxcam.sim.controllers import ArmState
 from jaxcam.sim.engine import (
     Command,
@@ -36,7 +37,6 @@ from jaxcam.sim.mjx_model import (
     bare,
     check_pairs,
     filtered,
-    full_from_sparse,
     pair_count,
     resized,
 )
@@ -247,6 +247,7 @@ class MjxEngine(Engine):
         closed = controllers.gripper_command(state.closed, jnp.asarray(command.gripper))
         target = jnp.asarray(command.target, jnp.float32)
         fingers = controllers.finger_targets(closed)
+        goal = controllers.goal(self.controller, target, state.rest)
         scratch = self._scratch(len(target))
         sense = jax.vmap(functools.partial(self._sense, scratch))
         integrate = jax.vmap(functools.partial(self._integrate, scratch))
@@ -254,7 +255,8 @@ class MjxEngine(Engine):
         def substep(_: int, now: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
             qpos, qvel, warmstart, overflow = now
             arm, begun = sense(bodies, qpos, qvel, warmstart)
-            torque = jnp.clip(self._torque(arm, target, state.rest), *self._limits)
+            torque = controllers.torque(self.controller, arm, *goal)
+            torque = jnp.clip(torque, *self._limits)
             ctrl = jnp.zeros((len(target), self.scene.physics.nu))
             ctrl = ctrl.at[:, self.scene.arm].set(torque).at[:, self.scene.fingers].set(fingers)
             *moved, bits = integrate(bodies, begun, qpos, qvel, warmstart, ctrl)
@@ -285,11 +287,6 @@ class MjxEngine(Engine):
             grip_rotation=rotation,
             ok=state.ok & (sound | ~run),
         )
-
-    def _torque(self, arm: ArmState, target: jax.Array, rest: Array) -> jax.Array:
-        if self.controller == "joint_position":
-            return controllers.joint_position(arm, target)
-        return controllers.osc_pose(arm, target[:, :3], matrix_from_rotvec(target[:, 3:]), rest)
 
     def _sense(
         self,

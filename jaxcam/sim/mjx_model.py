@@ -7,11 +7,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import mujoco
-import numpy as np
 from mujoco.mjx._src import collision_driver
 
 from jaxcam.errors import ConfigError
 from jaxcam.rotations import Array
+from jaxcam.sim.bodies import box_inertia
 
 Bodies = dict[str, jax.Array]
 """Fields of the model that differ between worlds [B, ...]."""
@@ -39,11 +39,9 @@ def resized(model: mujoco.MjModel, geoms: Sequence[int], sizes: Array) -> Bodies
         field[name] = field[name].at[:, *where].set(value)
 
     for i, geom in enumerate(geoms):
-        half, body = jnp.asarray(sizes, jnp.float32)[:, i], int(model.geom_bodyid[geom])
+        half = jnp.asarray(sizes, jnp.float32)[:, i]
+        body, mass, inertia = box_inertia(model, geom, half)
         dof = int(model.body_dofadr[body])
-        density = model.body_mass[body] / (8 * model.geom_size[geom].prod())
-        mass = 8 * half.prod(-1) * density
-        inertia = mass[:, None] / 3 * ((half**2).sum(-1, keepdims=True) - half**2)
         slow, spin = 1 / mass, (1 / inertia).mean(-1)
         put("geom_size", (geom,), half)
         put("geom_rbound", (geom,), jnp.linalg.norm(half, axis=-1))
@@ -92,17 +90,6 @@ def bare(model: mujoco.MjModel) -> mujoco.MjModel:
     model.geom_contype[:] = model.geom_conaffinity[:] = 0
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     return model
-
-
-def full_from_sparse(model: mujoco.MjModel) -> np.ndarray:
-    """Where the entries of the full inertia matrix [nv, nv] are in the sparse one.
-
-    Zeros of the matrix point anywhere: all joints of an arm move each other.
-    """
-    data, full = mujoco.MjData(model), np.empty((model.nv, model.nv))
-    data.M[:] = np.arange(len(data.M))
-    mujoco.mj_fullM(model, data, full)
-    return full.astype(int)
 
 
 def pair_count(model: mujoco.MjModel) -> int:

@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from jaxcam.rotations import matrix_from_rotvec
 from jaxcam.sim import controllers
+from jaxcam.sim.bodies import box_inertia, full_from_sparse
 from jaxcam.sim.controllers import ArmState
 from jaxcam.sim.engine import Command, ControllerName, Engine, Start, State
 from jaxcam.sim.scene import Scene
@@ -121,7 +121,7 @@ class NativeEngine(Engine):
     def _advance(self, share: "_Share", state: State, target: np.ndarray, rows: np.ndarray) -> None:
         """Runs `rows` of a share through one control step, in place."""
         for together in np.array_split(rows, -(-len(rows) // _TOGETHER) or 1):
-            goal = self._goal(target[together], state.rest[together])
+            goal = controllers.goal(self.controller, target[together], state.rest[together])
             share.load(together, state, afresh=False)
             self._substeps(share, together, goal)
             share.store(together, state)
@@ -129,26 +129,15 @@ class NativeEngine(Engine):
     def _substeps(self, share: "_Share", rows: np.ndarray, goal: tuple[np.ndarray, ...]) -> None:
         for _ in range(self.substeps):
             try:
-                torque = self._torque(share.read(rows), *goal)
+                torque = controllers.torque(self.controller, share.read(rows), *goal)
             except np.linalg.LinAlgError:
                 # MuJoCo puts a world that diverges to its zero pose, where the arm is singular.
                 sound = ~share.diverged(rows)
                 if sound.all():
                     raise
                 rows, goal = rows[sound], tuple(x[sound] for x in goal)
-                torque = self._torque(share.read(rows), *goal)
+                torque = controllers.torque(self.controller, share.read(rows), *goal)
             share.step(rows, np.clip(torque, *self._limits))
-
-    def _goal(self, target: np.ndarray, rest: np.ndarray) -> tuple[np.ndarray, ...]:
-        """What the controller is asked for, as the arguments behind the arm's state."""
-        if self.controller == "joint_position":
-            return (target,)
-        return target[:, :3], matrix_from_rotvec(target[:, 3:]), rest
-
-    def _torque(self, arm: ArmState, *goal: np.ndarray) -> np.ndarray:
-        if self.controller == "joint_position":
-            return controllers.joint_position(arm, *goal)
-        return controllers.osc_pose(arm, *goal)
 
 
 class _Share:
@@ -159,7 +148,7 @@ class _Share:
         self._batch = batch = Batch(model, count, nthread=1, persistent=True)
         self._arm = slice(int(scene.arm[0]), int(scene.arm[-1]) + 1)
         self._fingers = scene.fingers
-        self._mass_at = _full_from_sparse(model)[self._arm, self._arm]
+        self._mass_at = full_from_sparse(model)[self._arm, self._arm]
         self._sizes: np.ndarray | None = None
         # Live arrays, a row per world. What is computed is bound before the first computation.
         self._state = (batch.qpos, batch.qvel, batch.qacc_warmstart)
@@ -177,12 +166,9 @@ class _Share:
         self._sizes = np.array(sizes, float)
         drawn, batch = self._model, self._batch
         for i, geom in enumerate(geoms):
-            body, half = drawn.geom_bodyid[geom], self._sizes[:, i]
+            half = self._sizes[:, i]
             # Of the scene's model, not the last size's: a world's past must leave no rounding.
-            density = drawn.body_mass[body] / (8 * drawn.geom_size[geom].prod())
-            mass = 8 * half.prod(-1) * density
-            squared = half**2
-            inertia = mass[:, None] / 3 * (squared.sum(-1, keepdims=True) - squared)
+            body, mass, inertia = box_inertia(drawn, geom, half)
             batch.expand("geom_size")[:, geom] = half
             batch.expand("geom_rbound")[:, geom] = np.linalg.norm(half, axis=-1)
             batch.expand("geom_aabb")[:, geom, 3:] = half
@@ -245,18 +231,6 @@ class _Share:
         if len(rows) and rows[-1] - rows[0] == len(rows) - 1:
             return slice(int(rows[0]), int(rows[-1]) + 1)
         return rows
-
-
-def _full_from_sparse(model: mujoco.MjModel) -> np.ndarray:
-    """Where the entries of the full inertia matrix [nv, nv] are in MjData's `M`.
-
-    Zeros of the matrix point anywhere: all joints of an arm move each other.
-    """
-    where = np.zeros((model.nv, model.nv), int)
-    for i, (first, count) in enumerate(zip(model.M_rowadr, model.M_rownnz, strict=True)):
-        address = np.arange(first, first + count)
-        where[i, model.M_colind[address]] = where[model.M_colind[address], i] = address
-    return where
 
 
 def _jacobian(motion: np.ndarray, lever: np.ndarray) -> np.ndarray:
