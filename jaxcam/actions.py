@@ -16,6 +16,7 @@ from jaxcam.rotations import (
     array_namespace,
     matrix_from_quaternion,
     matrix_from_rotvec,
+    nearest_rotation,
     rotvec_from_matrix,
 )
 from jaxcam.sim.controllers import JOINT_LAG
@@ -115,4 +116,27 @@ def decode(space: str, actions: Array, anchor: Array) -> tuple[Array, Array]:
             rotation = steps[:, t] @ rotation
             rotations.append(rotvec_from_matrix(rotation))
         targets = xp.concatenate([targets[..., :3], xp.stack(rotations, 1)], -1)
+    return targets, gripper
+
+
+def averageable(space: str, targets: Array, gripper: Array) -> Array:
+    """Absolute targets [..., 6 or 7] and gripper signs [...] as numbers whose mean has a meaning.
+
+    Rotations become matrices [..., 13 in all]; means of rotation vectors fail near half a turn.
+    """
+    xp = array_namespace(targets)
+    parts = [targets, gripper[..., None]]
+    if not is_joint(space):
+        rotation = matrix_from_rotvec(targets[..., 3:]).reshape(*targets.shape[:-1], 9)
+        parts = [targets[..., :3], rotation, gripper[..., None]]
+    return xp.concatenate(parts, -1)
+
+
+def averaged(space: str, mean: Array) -> tuple[Array, Array]:
+    """Targets and gripper signs of a mean of what `averageable` gives."""
+    xp = array_namespace(mean)
+    targets, gripper = mean[..., :-1], mean[..., -1]
+    if not is_joint(space):
+        rotation = nearest_rotation(targets[..., 3:].reshape(*mean.shape[:-1], 3, 3))
+        targets = xp.concatenate([targets[..., :3], rotvec_from_matrix(rotation)], -1)
     return targets, gripper

@@ -28,19 +28,10 @@ from jaxcam.presets import PRESETS, USUAL
 C = TypeVar("C", "TrainConfig", "CollectConfig", "RobomimicConfig")
 
 # Settings that leave every update of a run as it was; all others are part of a run's identity.
-FREE_TO_CHANGE = frozenset(
-    {
-        "pairs",
-        "engine",
-        "data_dir",
-        "dataset",
-        "run_dir",
-        "log_every",
-        "eval_every",
-        "save_every",
-        "keep",
-    }
-)
+FREE_TO_CHANGE = frozenset({
+    "pairs", "engine", "ensemble", "data_dir", "dataset", "run_dir", "log_every", "eval_every",
+    "save_every", "keep",
+})  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -120,6 +111,9 @@ class TrainConfig:
     """Held-out (initial state, camera pose) pairs of the final evaluation."""
     engine: Annotated[str, one_of("engine")] = "auto"
     """Physics of the final evaluation; auto is mjx-warp on an accelerator and native without."""
+    ensemble: float = 0.0
+    """Rate of temporal ensembling in the final evaluation, such as ACT's 0.01: the policy is asked
+    at every step, and all that it ever predicted for a step is averaged; 0 is off."""
 
     data_dir: str = "data"
     """Folder of the datasets."""
@@ -147,6 +141,7 @@ class TrainConfig:
         check_least(self, 0, "final_lr beta1 beta2")
         check_least(self, 16, "resolution")
         check_least(self, 0, "lr crop_min", or_equal=False)
+        check_least(self, -1, "ensemble")
         _check_train(self)
         overrides(self.model)
 
@@ -168,6 +163,10 @@ class EvaluateConfig:
     engine: Annotated[str, one_of("engine")] = "auto"
     """Physics; auto is mjx-warp on an accelerator and native without. Rows of different engines are
     not mixed."""
+    ensemble: Annotated[float | None, tyro.conf.arg(metavar="FLOAT"), default("as in training")] = (
+        None
+    )
+    """Rate of temporal ensembling, 0 is off. Rows of different rates are not mixed."""
     videos: int = 16
     """Rollouts shown in the video; 0 is none."""
 
@@ -176,6 +175,7 @@ class EvaluateConfig:
         check_names(self)
         check_least(self, 1, "pairs width")
         check_least(self, 0, "step videos")
+        check_least(self, -1, "ensemble")
 
 
 @dataclass(frozen=True)

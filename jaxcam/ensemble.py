@@ -4,47 +4,29 @@ The policy is asked at every step; predictions of a step are weighed by exp(-rat
 is the oldest (Zhao et al., "Learning Fine-Grained Bimanual Manipulation with Low-Cost Hardware").
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
-
-class Ensemble(NamedTuple):
-    """Means for the steps that predictions reach to, the next step first."""
-
-    mean: np.ndarray
-    """[B, T, A]."""
-    count: np.ndarray
-    """Predictions that each mean is of [T]."""
+from jaxcam.rotations import Array, array_namespace
 
 
-def weights(count: int, rate: float) -> np.ndarray:
-    """Weights of `count` predictions of one step, the oldest first; they add up to 1."""
-    raw = np.exp(-rate * np.arange(count))
-    return raw / raw.sum()
-
-
-def ensemble(
-    before: Ensemble | None, chunk: np.ndarray, rate: float = 0.01
-) -> tuple[np.ndarray, Ensemble]:
-    """Takes in the chunk predicted now.
+def ensemble(mean: Array, chunk: Array, call: Array, rate: float = 0.01) -> tuple[Array, Array]:
+    """Takes in the chunk predicted now; under NumPy and under `jax.jit`.
 
     Args:
-        before: What the step before left behind; None at the start.
-        chunk: Actions from now on [B, T, A]. They must mean the same whenever they are predicted:
-            absolute targets, not differences.
-        rate: How much less each newer prediction weighs; 0 weighs them the same.
+        mean: Of what the calls before predicted for the chunk's steps [B, T, N]; at call 0, and
+            wherever nothing was predicted, any finite numbers.
+        chunk: Targets from now on [B, T, N]. They must mean the same whenever they are predicted,
+            and a mean of them must have a meaning: no differences, no angles.
+        call: Number of this call, from 0; there is one every step.
+        rate: How much less each newer prediction weighs; below 0, how much more.
 
     Returns:
-        The action to execute now [B, A], and what to pass on to the next step.
+        What to execute now [B, N], and `mean` for the next call.
     """
-    length = chunk.shape[1]
-    mean, count = np.zeros_like(chunk), np.zeros(length, int)
-    if before is not None:
-        known = before.count.size
-        mean[:, :known], count[:known] = before.mean, before.count
-    newest = np.exp(-rate * count)
-    older = np.array([np.exp(-rate * np.arange(n)).sum() for n in count])
-    share = (newest / (older + newest))[:, None]
-    mean, count = (1 - share) * mean + share * chunk, count + 1
-    return mean[:, 0], Ensemble(mean[:, 1:], count[1:])
+    xp, length = array_namespace(mean), chunk.shape[1]
+    # Of a step's predictions, the last of n + 1 has this share of all their weight.
+    shares = 1 / np.cumsum(np.exp(rate * np.arange(length)))
+    before = xp.minimum(call, np.arange(length)[::-1])
+    share = xp.asarray(shares, mean.dtype)[before][:, None]
+    mean = (1 - share) * mean + share * chunk
+    return mean[:, 0], xp.concatenate([mean[:, 1:], mean[:, -1:]], 1)

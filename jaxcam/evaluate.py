@@ -48,7 +48,7 @@ VIDEO_STRIDE = 2
 """Control steps per frame of a video."""
 
 Row = dict[str, Any]
-NATIVE: Row = {"engine": "native"}
+USUAL: Row = {"engine": "native", "ensemble": 0.0}
 """What rows lack that were written before there was a choice."""
 
 
@@ -60,10 +60,18 @@ class Evaluator:
         width: rollouts simulated at once. Policies see batches of exactly this many, since the
             width can change a result's last digits; it is kept in each row.
         engine: that simulates them; `config.engine` when None.
+        ensemble: rate of temporal ensembling, 0 is off; `config.ensemble` when None.
     """
 
-    def __init__(self, config: TrainConfig, width: int = 50, engine: str | None = None) -> None:
+    def __init__(
+        self,
+        config: TrainConfig,
+        width: int = 50,
+        engine: str | None = None,
+        ensemble: float | None = None,
+    ) -> None:
         self.config, self.width = config, width
+        self.ensemble = config.ensemble if ensemble is None else ensemble
         self.engine_name = engine_name(engine or config.engine)
         self.task = make_task(config.task)
         self.scene = self.task.scene(config.scene)
@@ -97,7 +105,7 @@ class Evaluator:
         Returns:
             One row per pair, and the rollouts.
         """
-        config, task = self.config, self.task
+        config, task, spec = self.config, self.task, policy.spec
         # Always worlds for `width`: neither policy nor compiled physics sees another size.
         filled = [*pairs, *[pairs[-1]] * (self.width - len(pairs))]
         seed, cameras = self._pairs(split, filled)
@@ -106,6 +114,7 @@ class Evaluator:
         K = np.broadcast_to(
             intrinsics(task.fovy_deg, config.resolution), (*cameras.shape[:2], 3, 3)
         )
+        ahead = spec.chunk - spec.obs_steps + 1  # steps that a chunk reaches into the future
         done = rollout(
             act,
             task,
@@ -116,10 +125,11 @@ class Evaluator:
             K,
             cameras,
             config.action_space,
-            policy.execute,
+            ahead if self.ensemble else policy.execute,
             np.arange(self.width) < len(pairs),
             tick,
-            policy.spec.obs_steps,
+            spec.obs_steps,
+            self.ensemble,
         )
         azimuth, elevation, distance = (
             np.asarray(x) for x in spherical(cameras[:, 0], np.array(task.cameras.centre))
@@ -144,6 +154,7 @@ class Evaluator:
                 "camera": cameras[i].tolist(),
                 "renderer": Renderer.identity(),
                 "engine": self.engine_name,
+                "ensemble": self.ensemble,
                 "width": self.width,
                 "episode_seed": seed + pair,
             }
@@ -233,10 +244,16 @@ def evaluate(
     file = folder / "eval" / "rows.jsonl"
     file.parent.mkdir(parents=True, exist_ok=True)
 
-    same = {"step": step, "split": split, "width": evaluator.width, "engine": evaluator.engine_name}
+    same = {
+        "step": step,
+        "split": split,
+        "width": evaluator.width,
+        "engine": evaluator.engine_name,
+        "ensemble": evaluator.ensemble,
+    }
 
     def rows_so_far() -> list[Row]:
-        rows = [NATIVE | r for r in read_jsonl(file)]
+        rows = [USUAL | r for r in read_jsonl(file)]
         return [r for r in rows if r["pair"] < pairs and all(r[k] == same[k] for k in same)]
 
     def to_run() -> list[int]:
@@ -274,7 +291,7 @@ def main() -> None:
     console = Console()
     inputs = load_policy_inputs(config.run, config.step)
     policy = rebuild_policy(inputs)
-    evaluator = Evaluator(inputs.config, config.width, config.engine)
+    evaluator = Evaluator(inputs.config, config.width, config.engine, config.ensemble)
     folder = Path(config.run)
     estimate = evaluate(
         evaluator,

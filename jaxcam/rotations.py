@@ -74,6 +74,14 @@ def matrix_from_quaternion(quaternion: Array) -> Array:
     return xp.stack([xp.stack(row, -1) for row in rows], -2)
 
 
+def nearest_rotation(matrix: Array) -> Array:
+    """The rotations [..., 3, 3] nearest to matrices, such as means of rotations, entry by entry."""
+    xp = array_namespace(matrix)
+    u, _, v = xp.linalg.svd(matrix)
+    turned = xp.linalg.det(u @ v)[..., None]  # -1 where the nearest orthogonal matrix is a mirror
+    return u @ xp.concatenate([v[..., :2, :], v[..., 2:, :] * turned[..., None]], -2)
+
+
 def skew(v: Array) -> Array:
     """Matrices [..., 3, 3] whose product with u is the cross product v x u, for v [..., 3]."""
     xp = array_namespace(v)

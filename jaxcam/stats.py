@@ -152,8 +152,8 @@ def paired_difference(rows_a: Iterable[Row], rows_b: Iterable[Row]) -> Differenc
 def latest_rows(rows: Iterable[Row]) -> list[Row]:
     """Keep the last row of each rollout, so that a re-run replaces the attempt that failed.
 
-    Rows of different engines or batch widths are never mixed: of an evaluation that was run in
-    several ways, the one run last counts.
+    Rows of different engines, batch widths or ensembling are never mixed: of an evaluation that was
+    run in several ways, the one run last counts.
 
     Args:
         rows: Evaluation rows in the order they were written.
@@ -162,11 +162,11 @@ def latest_rows(rows: Iterable[Row]) -> list[Row]:
         One row for each (task, scene, run, policy, conditioning, seed, step, split, pair).
     """
     names = ("task", "scene", "run", "policy", "conditioning", "seed", "step", "split")
-    ways: dict[tuple[Any, ...], tuple[Any, Any]] = {}
+    ways: dict[tuple[Any, ...], tuple[Any, ...]] = {}
     latest: dict[tuple[Any, ...], dict[Any, Row]] = {}
     for row in rows:
         evaluation = tuple(row.get(name) for name in names)
-        way = row.get("engine", "native"), row.get("width")
+        way = row.get("engine", "native"), row.get("width"), row.get("ensemble", 0.0)
         if ways.get(evaluation) != way:
             ways[evaluation], latest[evaluation] = way, {}
         latest[evaluation][row.get("pair")] = row

@@ -12,6 +12,7 @@ class FlakyEvaluator:
 
     width = 2
     engine_name = "native"
+    ensemble = 0.0
 
     def __init__(self, lift):
         self.task = lift

@@ -1,7 +1,8 @@
 """Policy chunks to commands to physics to success, for a batch of episodes.
 
 The policy is asked once per chunk for the whole batch, each episode seen by its own cameras; the
-chunk is executed open loop. Worlds that are done or have failed stay as they are.
+chunk is executed open loop, or averaged with those before it and one step of it executed. Worlds
+that are done or have failed stay as they are.
 """
 
 import functools
@@ -11,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxcam.actions import decode, measured
+from jaxcam.actions import averageable, averaged, decode, measured
+from jaxcam.ensemble import ensemble
 from jaxcam.rays import invert
 from jaxcam.rotations import Array, array_namespace
 from jaxcam.sim.engine import Command, Engine, Play, Progress, Start, State
@@ -52,6 +54,7 @@ def rollout(
     alive: np.ndarray | None = None,
     tick: Callable[[], None] = lambda: None,
     obs_steps: int = 1,
+    ensembling: float = 0.0,
 ) -> Rollouts:
     """Runs one episode per start until success or the task's horizon.
 
@@ -65,13 +68,16 @@ def rollout(
         K: intrinsics [B, V, 3, 3].
         world_from_camera: camera poses [B, V, 4, 4].
         space: of the policy's actions.
-        execute: steps of a chunk that are executed; the whole chunk when None.
+        execute: steps of a chunk that are executed; the whole chunk when None. With ensembling,
+            which needs it, the steps that are averaged.
         alive: [B] False for episodes that only fill the batch up; all when None.
         tick: called after every control step.
         obs_steps: observations the policy sees at once, see `PolicySpec`; before the start they are
             the first one.
+        ensembling: rate of temporal ensembling, see `jaxcam.ensemble`: the policy is asked at every
+            step; 0 is off.
     """
-    turn = _turn(renderer, space, execute, obs_steps)
+    turn = _turn(renderer, space, execute, obs_steps, ensembling)
     world_from_camera = np.asarray(world_from_camera)
     inputs = _Inputs(
         act=act,
@@ -102,33 +108,50 @@ class _Seen(NamedTuple):
     grip_position: Array
 
 
+class _Carried(NamedTuple):
+    """What one turn leaves to the next."""
+
+    anchor: Array
+    """The last target, which deltas add to."""
+    before: tuple[_Seen, ...]
+    """The steps before, if the policy sees several."""
+    mean: Array
+    """What was predicted for the steps to come [B, T, N], if that is averaged."""
+
+
 class _PolicyTurn:
-    """Pictures to a chunk of actions to commands.
+    """Pictures to a chunk of actions to commands."""
 
-    It carries the last target, which deltas add to, and what the steps before looked like, if the
-    policy sees several.
-    """
-
-    def __init__(self, renderer: Renderer, space: str, execute: int | None, obs_steps: int) -> None:
+    def __init__(
+        self,
+        renderer: Renderer,
+        space: str,
+        execute: int | None,
+        obs_steps: int,
+        ensembling: float,
+    ) -> None:
         self._scene, self._renderer = renderer.scene, renderer
         self._space, self._execute, self._past = space, execute, obs_steps - 1
+        self._ensembling = ensembling
 
-    def first(self, state: State) -> tuple[Array, tuple[_Seen, ...]]:
+    def first(self, state: State) -> _Carried:
         before = (_Seen(state.qpos, state.grip_position),) * self._past
-        return measured(self._space, state, self._scene.arm), before
+        anchor = measured(self._space, state, self._scene.arm)
+        averaged_steps = (self._execute or 0) if self._ensembling else 0
+        still = anchor[:, None].repeat(averaged_steps, 1)
+        return _Carried(anchor, before, averageable(self._space, still, still[..., 0]))
 
     def __call__(
         self,
         play: Play,
         progress: Progress,
-        carried: tuple[Array, tuple[_Seen, ...]],
+        carried: _Carried,
         call: Array,
         start: Start,
         inputs: _Inputs,
-    ) -> tuple[Progress, tuple[Array, tuple[_Seen, ...]], Array]:
-        anchor, before = carried
-        xp, active = array_namespace(anchor), progress.active
-        seen = [*before, _Seen(progress.state.qpos, progress.state.grip_position)]
+    ) -> tuple[Progress, _Carried, Array]:
+        xp, active = array_namespace(carried.anchor), progress.active
+        seen = [*carried.before, _Seen(progress.state.qpos, progress.state.grip_position)]
         steps = [self._observe(one, start, inputs, active) for one in seen]
         obs = {name: xp.stack([step[name] for step in steps], 1) for name in steps[0]}
         obs = obs if self._past else steps[0]
@@ -137,7 +160,12 @@ class _PolicyTurn:
         # A world that is done sees black: its chunk is not used.
         progress = progress._replace(alive=progress.alive & (is_finite | ~active))
         chunk = xp.where(is_finite[:, None, None], chunk, 0)
-        targets, gripper = decode(self._space, chunk, anchor)
+        targets, gripper = decode(self._space, chunk, carried.anchor)
+        mean = carried.mean
+        if self._ensembling:
+            numbers = averageable(self._space, targets, gripper)
+            now, mean = ensemble(mean, numbers, call, self._ensembling)
+            targets, gripper = averaged(self._space, now[:, None])
         way, begin, length = [], 0, targets.shape[1]
         # Stops at the steps that the next turn looks back at.
         for end in range(max(1, length - self._past), length + 1):
@@ -148,7 +176,7 @@ class _PolicyTurn:
             if end < length:
                 seen.append(_Seen(progress.state.qpos, progress.state.grip_position))
         before = tuple(seen[len(seen) - self._past :])
-        return progress, (targets[:, -1], before), xp.concatenate(way)
+        return progress, _Carried(targets[:, -1], before, mean), xp.concatenate(way)
 
     def _observe(
         self, seen: _Seen, start: Start, inputs: _Inputs, active: Array
