@@ -143,3 +143,21 @@ class Hand:
     def _angle(self, goal: np.ndarray) -> float:
         """How far (rad) the grip is turned from `goal`."""
         return float(np.linalg.norm(rotvec_from_matrix(goal @ self._sight.grip_rotation.T)))
+
+
+def pushing_grip(along: np.ndarray, like: np.ndarray) -> np.ndarray:
+    """Grip axes [3, 3] of a hand that points down and whose closed fingers push broadside.
+
+    Its fingers close (along the y axis) across the direction; of the two ways, the one that is
+    turned less.
+
+    Args:
+        along: horizontal direction [2] or [3] to push in.
+        like: grip axes [3, 3] to be near to.
+    """
+    x, y = along[:2] / np.linalg.norm(along[:2])
+    across = np.array([-y, x, 0.0])
+    if across @ like[:, 1] < 0:
+        across = -across
+    down = np.array([0.0, 0.0, -1.0])
+    return np.stack([np.cross(across, down), across, down], -1)

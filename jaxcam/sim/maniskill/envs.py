@@ -1,0 +1,270 @@
+"""The three tasks as environments of ManiSkill: `gymnasium.make("JaxcamPush-v1")`.
+
+They are ManiSkill's PushCube, LiftPegUpright and RollBall with the starts, the success and the
+gripper of `jaxcam.sim.tasks`. In randomised scenes the table is only seen elsewhere and the floor
+is plain white, as in the authors' variants; what is touched stays where it is. Needs the extra
+`jaxcam[maniskill]`.
+"""
+
+from copy import deepcopy
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import sapien
+import torch
+from mani_skill.agents.registration import register_agent
+from mani_skill.agents.robots import Panda
+from mani_skill.envs.sapien_env import BaseEnv
+from mani_skill.envs.tasks.tabletop.lift_peg_upright import LiftPegUprightEnv
+from mani_skill.envs.tasks.tabletop.push_cube import PushCubeEnv
+from mani_skill.envs.tasks.tabletop.roll_ball import RollBallEnv
+from mani_skill.sensors.camera import CameraConfig
+from mani_skill.utils import common
+from mani_skill.utils.registration import register_env
+from mani_skill.utils.scene_builder.table import scene_builder
+from mani_skill.utils.structs import Pose
+
+from jaxcam.rays import sample_poses, sapien_from_opencv
+from jaxcam.rotations import matrix_from_quaternion, quaternion_from_matrix
+from jaxcam.sim import make_task
+from jaxcam.sim.engine import Start, State
+from jaxcam.sim.task import starts
+
+ROBOT = "panda_firm"
+TABLE = (-0.12, 0.0, -0.9196429)
+"""Where ManiSkill's table stands (m), turned by a quarter; its top is at height 0."""
+TABLE_SCALE = 1.75
+"""Of its mesh."""
+NEAR, FAR = 0.01, 100.0
+"""Clipping distances (m) of the cameras."""
+
+
+@register_agent()
+class FirmPanda(Panda):
+    """ManiSkill's Panda with the firmer gripper of the authors' simulator."""
+
+    uid = ROBOT
+
+    @property
+    def _controller_configs(self) -> dict[str, Any]:
+        configs = deepcopy(super()._controller_configs)
+        for config in configs.values():
+            gripper = config["gripper"]
+            gripper.lower, gripper.force_limit = -0.03, 300.0
+            gripper.stiffness, gripper.damping = 3e3, 2e2
+        return configs
+
+
+class JaxcamEnv(BaseEnv):
+    """What the three environments share; to be mixed in before one of ManiSkill's.
+
+    Args:
+        scene: `fixed` or `randomized`, as in `jaxcam.sim.task.Task.scene`.
+        resolution: height and width (pixels) of the task's cameras, `view_0` and so on.
+        args: see ManiSkill.
+        kwargs: see ManiSkill.
+    """
+
+    SUPPORTED_ROBOTS: Any = (ROBOT,)
+    agent: Any
+    scene: Any
+    table_scene: Any
+    task_name: ClassVar[str]
+    table_stretch: ClassVar[float] = 1.0
+    """How much longer than ManiSkill's the table of randomised scenes is."""
+
+    def __init__(
+        self, *args: Any, scene: str = "fixed", resolution: int = 128, **kwargs: Any
+    ) -> None:
+        self.task = make_task(self.task_name)
+        self.world = self.task.scene(scene)
+        self.start: Start
+        self._resolution, self._seeded = resolution, True
+        super().__init__(*args, robot_uids=kwargs.pop("robot_uids", ROBOT), **kwargs)
+
+    @property
+    def _default_sensor_configs(self) -> list[CameraConfig]:
+        """The task's cameras, at poses of its ranges; `set_cameras` moves them."""
+        fov, side = float(np.deg2rad(self.task.fovy_deg)), self._resolution
+        poses = sample_poses(self.task.cameras, self.task.views, 0)
+        return [
+            CameraConfig(f"view_{i}", _sapien_camera(pose), side, side, fov, NEAR, FAR)
+            for i, pose in enumerate(poses)
+        ]
+
+    def _load_scene(self, options: dict[str, Any]) -> None:
+        super()._load_scene(options)
+        self.actors = [self.scene.actors[name] for name in self.task.objects()]
+        self.markers = [self.scene.actors[name] for name in self.task.markers]
+        self._seen_table = None
+        if self.world.name == "randomized":
+            for table in self.table_scene.table._objs:
+                _hide(table)
+            for ground in self.table_scene.ground._objs:
+                _whiten(ground)
+            self._seen_table = self._build_seen_table()
+
+    def _build_seen_table(self) -> Any:
+        """A table to be seen and moved; what is touched is ManiSkill's, which is hidden."""
+        mesh = Path(scene_builder.__file__).parent / "assets" / "table.glb"
+        builder = self.scene.create_actor_builder()
+        builder.add_visual_from_file(
+            str(mesh),
+            scale=[TABLE_SCALE * self.table_stretch, TABLE_SCALE, TABLE_SCALE],
+            pose=sapien.Pose(q=_yaw(np.pi / 2)),
+        )
+        builder.initial_pose = sapien.Pose(TABLE, _yaw(np.pi / 2))
+        return builder.build_kinematic(name="seen_table")
+
+    def reset(
+        self, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
+    ) -> Any:
+        """Starts episodes: those of the seeds, or others than before without."""
+        self._seeded = seed is not None
+        return super().reset(seed, options)
+
+    def _initialize_episode(self, env_idx: torch.Tensor, options: dict[str, Any]) -> None:
+        rows: Any = common.to_numpy(env_idx)
+        seeds: Any = self._episode_seed[rows]
+        if not self._seeded:
+            seeds = self._batched_episode_rng[rows].randint(2**31)
+        self.begin(starts(self.task, self.world, [int(seed) for seed in seeds]), rows)
+
+    def begin(self, start: Start, rows: np.ndarray | None = None) -> None:
+        """Puts robot, objects and what is seen at a start, at rest.
+
+        Args:
+            start: of the environments in `rows`.
+            rows: environments that start; all when None. Only within `reset` may it be some.
+        """
+        rows = np.arange(self.num_envs) if rows is None else rows
+        if len(rows) == self.num_envs:
+            self.start = start
+        else:
+            self.start = Start(
+                *(_replaced(a, rows, b) for a, b in zip(self.start, start, strict=True))
+            )
+        base = self.world.world_from_base
+        self.agent.reset(self._tensor(start.qpos[:, :9]))
+        self.agent.robot.set_pose(sapien.Pose(base))
+        poses = start.qpos[:, 9:].reshape(len(rows), -1, 7)
+        for actor, pose in zip(self.actors, poses.swapaxes(0, 1), strict=True):
+            actor.set_pose(Pose.create(self._tensor(pose)))
+            actor.set_linear_velocity(torch.zeros(3, device=self.device))
+            actor.set_angular_velocity(torch.zeros(3, device=self.device))
+        for marker, pose in zip(self.markers, start.fixtures[:, 2:].swapaxes(0, 1), strict=True):
+            marker.set_pose(Pose.create(self._tensor(pose)))
+        if self._seen_table is not None:
+            self._seen_table.set_pose(Pose.create(self._tensor(_table(start.fixtures[:, 0]))))
+
+    def state(self) -> State:
+        """Joints and objects, and the grip; [B, ...] as in `jaxcam.sim.engine.State`."""
+        robot, tcp = self.agent.robot, self.agent.tcp.pose
+        qpos = [robot.get_qpos(), *(actor.pose.raw_pose for actor in self.actors)]
+        moves = (part for a in self.actors for part in (a.linear_velocity, a.angular_velocity))
+        qvel = [robot.get_qvel(), *moves]
+        qpos, qvel = (common.to_numpy(torch.cat(x, -1)).astype(float) for x in (qpos, qvel))
+        count = len(qpos)
+        return State(
+            qpos=qpos,
+            qvel=qvel,
+            warmstart=np.zeros_like(qvel),
+            closed=np.zeros(count),
+            rest=self.start.qpos[:, :7],
+            grip_position=common.to_numpy(tcp.p).astype(float),
+            grip_rotation=matrix_from_quaternion(common.to_numpy(tcp.q).astype(float)),
+            ok=np.isfinite(qpos).all(-1) & np.isfinite(qvel).all(-1),
+        )
+
+    def evaluate(self) -> dict[str, torch.Tensor]:
+        """The task's own success."""
+        done = self.task.success(self.world, self.state(), self.start)
+        return {"success": torch.as_tensor(done, device=self.device)}
+
+    def set_cameras(self, K: np.ndarray, world_from_camera: np.ndarray) -> None:
+        """Gives the task's cameras intrinsics and poses, from the next picture on.
+
+        Args:
+            K: pixels [V, 3, 3].
+            world_from_camera: OpenCV axes [V, 4, 4].
+        """
+        for i in range(self.task.views):
+            sensor: Any = self._sensors[f"view_{i}"]
+            camera = sensor.camera
+            (fx, skew, cx), (_, fy, cy) = np.asarray(K[i], float)[:2].tolist()
+            camera.set_perspective_parameters(NEAR, FAR, fx, fy, cx, cy, skew)
+            camera.set_local_pose(_sapien_camera(world_from_camera[i]))
+            # ManiSkill remembers what it thinks never changes.
+            camera._cached_intrinsic_matrix = None
+            camera._cached_extrinsic_matrix = camera._cached_model_matrix = None
+
+    def _tensor(self, array: np.ndarray) -> torch.Tensor:
+        return torch.as_tensor(np.asarray(array), dtype=torch.float32, device=self.device)
+
+
+@register_env("JaxcamPush-v1", max_episode_steps=150)
+class JaxcamPushEnv(JaxcamEnv, PushCubeEnv):
+    """`jaxcam.sim.tasks.push` on ManiSkill's PushCube."""
+
+    task_name = "push"
+
+
+@register_env("JaxcamLiftUpright-v1", max_episode_steps=450)
+class JaxcamLiftUprightEnv(JaxcamEnv, LiftPegUprightEnv):
+    """`jaxcam.sim.tasks.lift_upright` on ManiSkill's LiftPegUpright."""
+
+    task_name = "lift_upright"
+
+
+@register_env("JaxcamRollBall-v1", max_episode_steps=150)
+class JaxcamRollBallEnv(JaxcamEnv, RollBallEnv):
+    """`jaxcam.sim.tasks.roll_ball` on ManiSkill's RollBall."""
+
+    task_name = "roll_ball"
+    table_stretch = 2.0
+
+
+def _table(fixture: np.ndarray) -> np.ndarray:
+    """Poses [B, 7] of the table that is seen, for its shifts and turns [B, 7]."""
+    yaw = 2 * np.arctan2(fixture[:, 6], fixture[:, 3]) + np.pi / 2
+    poses = np.zeros((len(fixture), 7))
+    poses[:, :3] = TABLE
+    poses[:, :2] += fixture[:, :2]
+    poses[:, 3], poses[:, 6] = np.cos(yaw / 2), np.sin(yaw / 2)
+    return poses
+
+
+def _yaw(angle: float) -> list[float]:
+    return [float(np.cos(angle / 2)), 0.0, 0.0, float(np.sin(angle / 2))]
+
+
+def _sapien_camera(world_from_camera: np.ndarray) -> Any:
+    pose = np.asarray(sapien_from_opencv(world_from_camera), float)
+    return sapien.Pose(pose[:3, 3].tolist(), quaternion_from_matrix(pose[:3, :3]).tolist())
+
+
+def _replaced(array: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
+    array = array.copy()
+    array[rows] = values
+    return array
+
+
+def _seen(entity: sapien.Entity) -> Any:
+    """What of an entity is rendered; None without a renderer."""
+    return entity.find_component_by_type(sapien.render.RenderBodyComponent)
+
+
+def _hide(entity: sapien.Entity) -> None:
+    body = _seen(entity)
+    if body is not None:
+        body.visibility = 0.0
+
+
+def _whiten(entity: sapien.Entity) -> None:
+    """Takes the pattern away, which would tell where the camera is."""
+    body = _seen(entity)
+    for shape in [] if body is None else body.render_shapes:
+        for part in shape.parts:
+            part.material.set_base_color([1.0, 1.0, 1.0, 1.0])
+            part.material.set_base_color_texture(None)
