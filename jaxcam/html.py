@@ -1,23 +1,21 @@
 """One self-contained HTML page about a run, built from the files in its folder.
 
-The page loads nothing from the network: pictures are inside it, videos lie beside it.
+Videos lie beside the page; pictures are inside it.
 """
 
-import base64
-import datetime
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from html import escape
 from pathlib import Path
-from string import Template
 from typing import Any
-from urllib.parse import quote
 
-import jaxcam
+from jaxcam import page
 from jaxcam.config import TrainConfig, differences, resolve
 from jaxcam.errors import ConfigError
 from jaxcam.fields import from_json
+from jaxcam.page import section
+from jaxcam.results import plain, training_seconds
 from jaxcam.rundir import read_jsonl, write_atomically
 from jaxcam.stats import Estimate, Row, by_field, is_finished, latest_rows, success_rate
 
@@ -58,28 +56,18 @@ def write_report(run_dir: str | Path) -> Path:
     shown = [row for row in rows if (row.get("step") or 0) == newest]
     sections = (
         _summary(config, metrics, shown, newest),
-        _section("Results", _figures(run / "plots")),
-        _section("Rollouts", _videos(run)),
-        _section("What the policy sees", _figures(run / "pictures")),
-        _section("Each rollout", _rollouts(shown)),
-        _section("Success of each checkpoint", _checkpoints(rows)),
-        _section("Run it again", _commands(run_dir, config)),
-        _section("Configuration", _settings(asdict(config))),
-        _section("Environment", _environment(run / "env.txt")),
+        section("Results", _figures(run / "plots")),
+        section("Rollouts", _videos(run)),
+        section("What the policy sees", _figures(run / "pictures")),
+        section("Each rollout", _rollouts(shown)),
+        section("Success of each checkpoint", _checkpoints(rows)),
+        section("Run it again", _commands(run_dir, config)),
+        section("Configuration", _settings(asdict(config))),
+        section("Environment", _environment(run / "env.txt")),
     )
-    template = Template(Path(__file__).with_name("report_template.html").read_text("utf-8"))
-    now = datetime.datetime.now().astimezone()
-    page = template.substitute(
-        title=escape(
-            f"{_POLICIES.get(config.policy, config.policy)} on {config.task}, {config.scene} scene"
-        ),
-        subtitle=escape(f"Conditioning: {config.conditioning}. Preset: {config.preset}. "
-                        f"Seed: {config.seed}."),
-        sections="\n".join(sections),
-        version=jaxcam.__version__,
-        date=now.strftime("%-d %B %Y, %H:%M %Z"),
-    )  # fmt: skip
-    write_atomically(run / "report.html", page)
+    title = f"{_POLICIES.get(config.policy, config.policy)} on {config.task}, {config.scene} scene"
+    subtitle = f"Conditioning: {config.conditioning}. Preset: {config.preset}. Seed: {config.seed}."
+    write_atomically(run / "report.html", page.page(title, subtitle, sections))
     return run / "report.html"
 
 
@@ -119,7 +107,7 @@ def _summary(config: TrainConfig, metrics: Sequence[Row], rows: Sequence[Row], s
         "Demonstrations": config.demos,
         "Training steps": f"{trained:,} of {config.steps:,}",
     }
-    if seconds := _seconds(metrics):
+    if seconds := training_seconds(metrics):
         facts["Wall time"] = _duration(seconds)
     if rows:
         facts["Evaluated checkpoint"] = f"step {step:,}"
@@ -129,13 +117,12 @@ def _summary(config: TrainConfig, metrics: Sequence[Row], rows: Sequence[Row], s
     notice = ""
     if estimate.excluded:
         what = "rollout" if estimate.excluded == 1 else "rollouts"
-        notice = (
-            f'<p class="notice">{estimate.excluded} {what} did not finish and count in no rate on '
-            "this page.</p>"
+        notice = page.notice(
+            f"{estimate.excluded} {what} did not finish and count in no rate on this page."
         )
     return (
-        f'<div class="summary"><div class="card">{_headline(estimate)}</div>'
-        f'<div class="card"><dl>{listed}</dl></div></div>{notice}'
+        f'<div class="summary">{page.card(_headline(estimate))}'
+        f"{page.card(f'<dl>{listed}</dl>')}</div>{notice}"
     )
 
 
@@ -163,28 +150,22 @@ def _figures(folder: Path) -> str:
         folder.glob("*.png"),
         key=lambda f: (known.index(f.stem) if f.stem in _PLOTS else len(known), f.name),
     )
-    figures: list[str] = []
-    for file in files:
-        caption = _PLOTS.get(file.stem, file.stem.replace("_", " ").capitalize())
-        data = base64.b64encode(file.read_bytes()).decode()
-        wide = ' class="wide"' if file.stem in _WIDE or len(files) == 1 else ""
-        figures.append(
-            f'<figure{wide}><img src="data:image/png;base64,{data}" alt="{escape(caption)}">'
-            f"<figcaption>{escape(caption)}</figcaption></figure>"
+    return page.pictures(
+        page.picture(
+            file,
+            _PLOTS.get(file.stem, file.stem.replace("_", " ").capitalize()),
+            wide=file.stem in _WIDE or len(files) == 1,
         )
-    return f'<div class="figures">{"".join(figures)}</div>' if figures else ""
+        for file in files
+    )
 
 
 def _videos(run: Path) -> str:
     """Players for the videos, which stay files of their own."""
     files = sorted(file for name in ("videos", "eval") for file in (run / name).glob("*.mp4"))
-    players = [
-        f'<video src="{quote(file.relative_to(run).as_posix())}" controls loop muted playsinline '
-        f'preload="metadata"></video><p class="small">{escape(file.relative_to(run).as_posix())}: '
-        "a tile’s border turns blue when the rollout succeeds, vermilion when it fails.</p>"
-        for file in files
-    ]
-    return "\n".join(players)
+    names = (file.relative_to(run).as_posix() for file in files)
+    hint = "a tile’s border turns blue when the rollout succeeds, vermilion when it fails."
+    return "\n".join(page.video(name, f"{name}: {hint}") for name in names)
 
 
 def _rollouts(rows: Sequence[Row]) -> str:
@@ -203,8 +184,7 @@ def _rollouts(rows: Sequence[Row]) -> str:
         for row in sorted(rows, key=lambda row: (row["pair"], row.get("seed") or 0))
     ]  # fmt: skip
     head = ("pair", "seed", "outcome", "steps", "azimuth", "elevation", "distance")
-    table = _table(head, body)
-    return f'<details class="card"><summary>{len(body)} rollouts</summary>{table}</details>'
+    return page.folded(f"{len(body)} rollouts", page.table(head, body))
 
 
 def _checkpoints(rows: Sequence[Row]) -> str:
@@ -213,7 +193,7 @@ def _checkpoints(rows: Sequence[Row]) -> str:
     if len(by_step) < 2:
         return ""
     body = [(f"{step or 0:,}", success_rate(by_step[step])) for step in sorted(by_step)]
-    return f'<div class="card">{_table(("step", "success"), body)}</div>'
+    return page.card(page.table(("step", "success"), body))
 
 
 def _commands(run_dir: str | Path, config: TrainConfig) -> str:
@@ -228,13 +208,13 @@ def _commands(run_dir: str | Path, config: TrainConfig) -> str:
         " ".join(f"<span>{escape(shlex.quote(word))}</span>" for word in shlex.split(line))
         for line in lines
     ]
-    return f'<div class="card">{"".join(f"<pre>{line}</pre>" for line in shown)}</div>'
+    return page.card("".join(f"<pre>{line}</pre>" for line in shown))
 
 
 def _settings(values: Mapping[str, Any]) -> str:
     """All settings, in two columns where there is room."""
     pairs = "".join(
-        f"<div><span>{escape(name)}</span><code>{escape(_plain(value))}</code></div>"
+        f"<div><span>{escape(name)}</span><code>{escape(plain(value))}</code></div>"
         for name, value in values.items()
     )
     return f'<div class="card settings">{pairs}</div>'
@@ -245,22 +225,7 @@ def _environment(file: Path) -> str:
     if not file.is_file():
         return ""
     text = escape(file.read_text("utf-8").strip())
-    return (
-        f'<details class="card"><summary>Versions and devices</summary><pre>{text}</pre></details>'
-    )
-
-
-def _section(title: str, content: str) -> str:
-    return f"<h2>{escape(title)}</h2>\n{content}" if content else ""
-
-
-def _table(head: Iterable[str], body: Iterable[Iterable[Any]]) -> str:
-    top = "".join(f"<th>{escape(name)}</th>" for name in head)
-    lines = "".join(
-        "<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in line) + "</tr>"
-        for line in body
-    )
-    return f'<div class="scroll"><table><tr>{top}</tr>{lines}</table></div>'
+    return page.folded("Versions and devices", f"<pre>{text}</pre>")
 
 
 def _is_held_out(row: Row) -> bool:
@@ -268,24 +233,8 @@ def _is_held_out(row: Row) -> bool:
     return row.get("split", "test") == "test"
 
 
-def _plain(value: Any) -> str:
-    return " ".join(map(str, value)) or "–" if isinstance(value, list | tuple) else str(value)
-
-
 def _degrees(value: float | None) -> str:
     return "" if value is None else f"{value:.1f}°"
-
-
-def _seconds(metrics: Sequence[Row]) -> float:
-    """Wall time: "seconds" counts from the start of the process, so a resumed run starts anew."""
-    total = last = 0.0
-    for row in metrics:
-        if (now := row.get("seconds")) is None:
-            continue
-        if now < last:
-            total += last
-        last = now
-    return total + last
 
 
 def _duration(seconds: float) -> str:

@@ -1,0 +1,69 @@
+"""What the paper reports (arXiv:2510.02268): Table I, and what it says of each figure.
+
+Its figures give no numbers, so only Table I can stand beside ours.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+TASKS = {
+    "lift": "Lift",
+    "pick_place_can": "Pick Place Can",
+    "square": "Assembly Square",
+    "push": "Push",
+    "lift_upright": "Lift Upright",
+    "roll_ball": "Roll Ball",
+}
+"""Tasks in the order of Table I."""
+POLICIES = {"act": "ACT", "diffusion": "DP", "smolvla": "SmolVLA"}
+CONDITIONING = {"act": "late", "diffusion": "early", "smolvla": "late"}
+"""How each policy is told the camera pose in Table I."""
+
+# Success in percent by task, image only and with the camera pose.
+_TABLE = {
+    "act": ((33.6, 26.7, 10.8, 29.9, 22.9, 28.7), (60.6, 30.9, 18.7, 37.5, 34.6, 29.7)),
+    "diffusion": ((29.1, 23.1, 2.0, 20.0, 9.5, 19.9), (51.1, 39.3, 2.4, 30.3, 20.7, 23.7)),
+    "smolvla": ((19.6, 56.0, 22.0, 39.0, 23.6, 27.6), (54.4, 70.0, 26.4, 43.8, 33.4, 30.4)),
+}
+
+SAYS = {
+    "scene": "The image-only policy is worse in randomised scenes on every task. Conditioning "
+    "helps most there, and helps in fixed scenes too.",
+    "action_space": "End-effector deltas are best, absolute poses and joints noticeably worse; "
+    "conditioning helps in all four.",
+    "crop_min": "Random cropping of image and ray-map together helps on all three tasks.",
+    "conditioning": "A linear projection of the pose to a token brings no observable benefit; "
+    "early fusion is less effective than late fusion in most cases.",
+    "weights": "Pretraining of the image encoder has little effect.",
+    "n": "To reach the same success, a policy that is not told the pose needs several times more "
+    "cameras; with many cameras a small benefit of the pose remains.",
+}
+"""What the paper finds where one setting varies, in our words (section V-A)."""
+
+
+def success(policy: str, task: str, conditioned: bool) -> float | None:
+    """Table I's success in percent, or None where it has no such cell.
+
+    Args:
+        policy: "act", "diffusion" or "smolvla".
+        task: Such as "lift".
+        conditioned: Whether the policy is told the camera pose.
+    """
+    if policy not in _TABLE or task not in TASKS:
+        return None
+    return _TABLE[policy][conditioned][list(TASKS).index(task)]
+
+
+def is_table_setting(settings: Mapping[str, Any]) -> bool:
+    """Whether the settings, apart from budget and size, are those of Table I.
+
+    Args:
+        settings: Of an arm; what is not recorded is taken to be as in Table I.
+    """
+    wanted = {"scene": "randomized", "action_space": "eef_delta"}
+    crop, m = settings.get("crop_min"), settings.get("m")
+    return (
+        all(settings.get(name) in (None, value) for name, value in wanted.items())
+        and (crop is None or crop < 1)
+        and m != 0  # that is the figure on numbers of cameras
+    )
