@@ -19,9 +19,8 @@ from jaxcam.rotations import (
     nearest_rotation,
     rotvec_from_matrix,
 )
-from jaxcam.sim.controllers import JOINT_LAG
 from jaxcam.sim.engine import ControllerName, State
-from jaxcam.sim.scene import Scene
+from jaxcam.sim.world import World
 
 ACTION_SPACES = ("eef_delta", "eef_abs", "joint_delta", "joint_abs")
 """The paper's four; the authors' component-wise differencing is a fifth, to reproduce them."""
@@ -74,17 +73,17 @@ def encode(space: str, targets: np.ndarray, gripper: np.ndarray, start: np.ndarr
     return np.concatenate([moves, gripper[:, None]], -1)
 
 
-def demo_actions(demo: Demo, space: str, scene: Scene) -> np.ndarray:
+def demo_actions(demo: Demo, space: str, scene: World) -> np.ndarray:
     """A demonstration's commands as actions [T, A] of a space.
 
     Joint targets are the joints reached after each step (authors' code), led by their velocity
     times the controller's lag, so that the arm is where it was when the gripper was commanded.
     """
-    nq, arm = scene.physics.nq, scene.arm
+    nq, arm = scene.nq, scene.arm
     gripper = demo.actions[:, -1]
     if is_joint(space):
         qpos, qvel = demo.states[:, 1 + arm], demo.states[:, 1 + nq + arm]
-        return encode(space, qpos[1:] + JOINT_LAG * qvel[1:], gripper, qpos[0])
+        return encode(space, qpos[1:] + scene.joint_lag * qvel[1:], gripper, qpos[0])
     rotation = matrix_from_quaternion(np.roll(demo.eef_quat[0], 1))
     start = np.concatenate([demo.eef_pos[0], rotvec_from_matrix(rotation)])
     return encode(space, demo.actions[:, :-1], gripper, start)

@@ -20,12 +20,11 @@ from jaxcam.progress import progress
 from jaxcam.rays import sample_poses, stair, stair_cameras
 from jaxcam.replay import replay_all
 from jaxcam.rotations import quaternion_from_matrix, rotvec_from_matrix
-from jaxcam.sim import make_task
+from jaxcam.sim import make_engine, make_task
 from jaxcam.sim.controllers import CONTROL_HZ
 from jaxcam.sim.engine import Command, Engine, Start, State
-from jaxcam.sim.native import NativeEngine
-from jaxcam.sim.scene import Scene
 from jaxcam.sim.task import Aim, Sight, Task, starts
+from jaxcam.sim.world import World
 
 FIRST_SEED = 42
 """Start of the demonstrations' episode seeds (authors' generators)."""
@@ -62,6 +61,7 @@ def collect(config: CollectConfig, console: Console | None = None) -> Demos:
     path = dataset_path(config)
     if not path.exists():
         task = make_task(config.task)
+        task.require()
         scene = task.scene(config.scene)
         with exclusive(path, console):
             if not path.exists():
@@ -71,7 +71,7 @@ def collect(config: CollectConfig, console: Console | None = None) -> Demos:
     return read_demos(path, task=config.task, scene=config.scene)
 
 
-def new_header(config: CollectConfig, task: Task, scene: Scene) -> Header:
+def new_header(config: CollectConfig, task: Task, scene: World) -> Header:
     """What the file of a complete config says of itself, its cameras drawn."""
     poses = [
         sample_poses(task.cameras, stair_cameras(config.demos, config.n, config.m), TRAIN_CAMERAS),
@@ -86,10 +86,10 @@ def new_header(config: CollectConfig, task: Task, scene: Scene) -> Header:
         train=config.demos,
         valid=config.validation,
         fovy_deg=task.fovy_deg,
-        nq=scene.physics.nq,
-        nv=scene.physics.nv,
+        nq=scene.nq,
+        nv=scene.nv,
         world_from_camera=np.concatenate(poses),
-        versions={name: version(name) for name in ("jaxcam", "mujoco", "robosuite", "numpy")},
+        versions={name: version(name) for name in ("jaxcam", *scene.packages, "numpy")},
     )
 
 
@@ -100,12 +100,12 @@ def camera_windows(header: Header) -> list[np.ndarray]:
     return [*stair(header.train, header.n, header.m), *held_out[:, None]]
 
 
-def _fill(writer: DemoWriter, task: Task, scene: Scene, console: Console | None) -> None:
+def _fill(writer: DemoWriter, task: Task, scene: World, console: Console | None) -> None:
     """Runs expert episodes until every slot of the file has one that replays in every space."""
     header = writer.header
     total = header.train + header.valid
     cameras = camera_windows(header)
-    engine = NativeEngine(scene, "osc_pose", varied=task.varied)
+    engine = make_engine(scene.engines[0], scene, "osc_pose", task.varied)
     seeds = episode_seeds(header.seed)
     tried = succeeded = kept = 0
     unsteady: list[int] = []
@@ -138,7 +138,7 @@ def _fill(writer: DemoWriter, task: Task, scene: Scene, console: Console | None)
         console.print(f"{told}{' and were replaced' * bool(unsteady)}.")
 
 
-def _unsteady(demos: list[Demo], task: Task, scene: Scene) -> list[int]:
+def _unsteady(demos: list[Demo], task: Task, scene: World) -> list[int]:
     """Seeds of the demonstrations that fail when replayed in one of the four action spaces."""
     if not demos:
         return []
@@ -152,7 +152,7 @@ def episode_seeds(seed: int) -> range:
     return range(first, first + SEEDS)
 
 
-def run_expert(task: Task, scene: Scene, engine: Engine, seeds: list[int]) -> list[Demo | None]:
+def run_expert(task: Task, scene: World, engine: Engine, seeds: list[int]) -> list[Demo | None]:
     """Runs one expert episode per seed, all at once.
 
     Returns:

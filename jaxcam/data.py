@@ -15,7 +15,7 @@ from jaxcam.actions import demo_actions
 from jaxcam.demos import Demo, Demos
 from jaxcam.frames import Frames, intrinsics
 from jaxcam.rays import invert
-from jaxcam.sim.scene import Scene
+from jaxcam.sim.world import World
 
 Batch = dict[str, Any]
 """NumPy arrays by name, first axis the samples."""
@@ -40,7 +40,7 @@ class Dataset:
     keyframes: np.ndarray = field(repr=False)
     """Where the grip is when its command next changes (base frame, m), per action [D, T, 3]."""
     proprio: np.ndarray = field(repr=False)
-    """What the robot feels before each action (`Scene.proprio`) [D, T, P]."""
+    """What the robot feels before each action (`World.proprio`) [D, T, P]."""
     lengths: np.ndarray = field(repr=False)
     """Control steps of each demonstration [D]."""
     windows: list[np.ndarray] = field(repr=False)
@@ -136,7 +136,7 @@ def make_dataset(
     demos: Demos,
     frames: Frames,
     space: str,
-    scene: Scene,
+    scene: World,
 ) -> Dataset:
     """Turns demonstrations into arrays, their commands into actions of a space.
 
@@ -175,7 +175,7 @@ def make_dataset(
     )
 
 
-def _keyframes(demo: Demo, scene: Scene) -> np.ndarray:
+def _keyframes(demo: Demo, scene: World) -> np.ndarray:
     """Where the grip is when its command next changes, or at the end [T, 3], base frame."""
     gripper = np.sign(demo.actions[:, -1])
     changes = np.append(np.flatnonzero(np.diff(gripper)) + 1, demo.length)

@@ -32,9 +32,9 @@ from jaxcam.progress import progress
 from jaxcam.rays import Camera, sample_poses, spherical
 from jaxcam.rundir import append_jsonl, read_jsonl
 from jaxcam.sim import engine_name, make_engine, make_task
-from jaxcam.sim.render import Renderer, View
 from jaxcam.sim.rollout import Rollouts, rollout
 from jaxcam.sim.task import starts
+from jaxcam.sim.world import View
 from jaxcam.stats import Estimate, latest_rows, success_rate
 from jaxcam.video import grid, write_video
 
@@ -72,13 +72,14 @@ class Evaluator:
     ) -> None:
         self.config, self.width = config, width
         self.ensemble = config.ensemble if ensemble is None else ensemble
-        self.engine_name = engine_name(engine or config.engine)
         self.task = make_task(config.task)
+        self.task.require()
         self.scene = self.task.scene(config.scene)
+        self.engine_name = engine_name(engine or config.engine, self.scene)
         varied = self.task.varied
         controller = controller_of(config.action_space)
         self.engine = make_engine(self.engine_name, self.scene, controller, varied)
-        self.renderer = Renderer(self.scene, config.resolution, varied=varied)
+        self.renderer = self.scene.painter(config.resolution, varied=varied)
 
     def run(
         self,
@@ -152,7 +153,7 @@ class Evaluator:
                 "elevation_deg": float(np.rad2deg(elevation[i])),
                 "distance": float(distance[i]),
                 "camera": cameras[i].tolist(),
-                "renderer": Renderer.identity(),
+                "renderer": self.scene.look,
                 "engine": self.engine_name,
                 "ensemble": self.ensemble,
                 "width": self.width,
@@ -165,7 +166,7 @@ class Evaluator:
         """Videos of rollouts as their first camera saw them, uint8 [T, H, W, 3] each."""
         task = self.task
         seed, cameras = self._pairs(split, pairs)
-        renderer = Renderer(self.scene, VIDEO_PIXELS, varied=task.varied)
+        renderer = self.scene.painter(VIDEO_PIXELS, varied=task.varied)
         start = starts(task, self.scene, [seed + p for p in pairs])
         K = intrinsics(task.fovy_deg, VIDEO_PIXELS)
         clips = []

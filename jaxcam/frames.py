@@ -16,7 +16,6 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import jax
 import numpy as np
 from rich.console import Console
 
@@ -27,7 +26,7 @@ from jaxcam.progress import progress
 from jaxcam.rays import Camera
 from jaxcam.rundir import write_atomically
 from jaxcam.sim import make_task
-from jaxcam.sim.render import Renderer, View
+from jaxcam.sim.world import Painter, View, World
 
 DEMOS_PER_WORKER = 8
 """Demonstrations below which another process is not worth its start."""
@@ -69,7 +68,7 @@ def load_frames(demos: Demos, resolution: int, console: Console | None = None) -
     every = demos.train + demos.valid
     counts = np.array([d.length * len(d.cameras) for d in every])
     first = np.concatenate([[0], np.cumsum(counts)[:-1]])
-    name = f"{demos.path.stem}-{demos.fingerprint}-{resolution}px-{Renderer.identity()}.npy"
+    name = f"{demos.path.stem}-{demos.fingerprint}-{resolution}px-{_scene(demos.header).look}.npy"
     path = demos.path.parent / "frames" / name
     if not path.exists():
         with exclusive(path, console):
@@ -100,9 +99,9 @@ def _render(
 
 
 def _draw(header: Header, resolution: int, views: list[View]) -> Iterator[np.ndarray]:
-    """Pictures of each view in order; on a CPU by one process a core."""
+    """Pictures of each view in order; by one process a core where one draws with one thread."""
     workers = min(os.cpu_count() or 1, len(views) // DEMOS_PER_WORKER)
-    if workers < 2 or jax.default_backend() != "cpu":
+    if workers < 2 or _scene(header).painter_uses_all_cores:
         yield from map(_renderer(header.task, header.scene, resolution).rgb, views)
         return
     # Not forked: JAX has threads. The pool asks for the main module's file when it spawns.
@@ -127,13 +126,17 @@ def _draw(header: Header, resolution: int, views: list[View]) -> Iterator[np.nda
 
 
 @functools.cache
-def _renderer(task_name: str, scene_name: str, resolution: int) -> Renderer:
+def _renderer(task_name: str, scene_name: str, resolution: int) -> Painter:
     task = make_task(task_name)
-    return Renderer(task.scene(scene_name), resolution, varied=task.varied)
+    return task.scene(scene_name).painter(resolution, varied=task.varied)
 
 
 def _draw_in_worker(task: str, scene: str, resolution: int, view: View) -> np.ndarray:
     return _renderer(task, scene, resolution).rgb(view)
+
+
+def _scene(header: Header) -> World:
+    return make_task(header.task).scene(header.scene)
 
 
 def _check_room(path: Path, size: int) -> None:

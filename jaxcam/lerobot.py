@@ -36,7 +36,7 @@ from jaxcam.locks import exclusive
 from jaxcam.progress import progress
 from jaxcam.sim import make_task
 from jaxcam.sim.controllers import CONTROL_HZ
-from jaxcam.sim.scene import Scene
+from jaxcam.sim.world import World
 
 POSE = ("x", "y", "z", "rx", "ry", "rz")
 JOINTS = tuple(f"joint_{i}" for i in range(1, 8))
@@ -91,7 +91,7 @@ def _write(
     demos: Demos,
     data: Dataset,
     chosen: range,
-    scene: Scene,
+    scene: World,
     console: Console | None,
 ) -> None:
     views = [f"view_{v}" for v in range(len(data.windows[chosen[0]]))]
@@ -109,7 +109,7 @@ def _write(
     write_json(root / "meta/jaxcam.json", _about(config, demos, data, scene))
 
 
-def _about(config: LerobotConfig, demos: Demos, data: Dataset, scene: Scene) -> dict[str, Any]:
+def _about(config: LerobotConfig, demos: Demos, data: Dataset, scene: World) -> dict[str, Any]:
     """What LeRobot's own metadata has no place for."""
     header = demos.header
     return {

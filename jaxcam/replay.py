@@ -24,8 +24,8 @@ from jaxcam.errors import run_main
 from jaxcam.progress import progress
 from jaxcam.sim import make_engine, make_task
 from jaxcam.sim.engine import Command, Engine, OpenLoop, Start
-from jaxcam.sim.scene import Scene
 from jaxcam.sim.task import Task
+from jaxcam.sim.world import World
 
 GATE = 0.99
 """Share of demonstrations that must succeed when replayed (paper, section V-A4)."""
@@ -37,7 +37,7 @@ OPEN_LOOP = OpenLoop()
 
 
 def replay(
-    demos: Sequence[Demo], space: str, task: Task, scene: Scene, engine: Engine
+    demos: Sequence[Demo], space: str, task: Task, scene: World, engine: Engine
 ) -> np.ndarray:
     """Executes demonstrations side by side in one action space.
 
@@ -52,7 +52,7 @@ def replay(
         Whether each succeeded at any step of its own, bool [D].
     """
     start = Start(
-        qpos=np.stack([d.states[0, 1 : 1 + scene.physics.nq] for d in demos]),
+        qpos=np.stack([d.states[0, 1 : 1 + scene.nq] for d in demos]),
         geom_size=np.stack([d.geom_size for d in demos]),
         fixtures=np.stack([d.fixtures for d in demos]),
     )
@@ -76,9 +76,9 @@ def _held(actions: np.ndarray, space: str, length: int) -> np.ndarray:
 def replay_all(
     demos: Sequence[Demo],
     task: Task,
-    scene: Scene,
+    scene: World,
     spaces: Sequence[str] = ACTION_SPACES,
-    engine: str = "native",
+    engine: str | None = None,
     tick: Callable[[int], None] = lambda count: None,
 ) -> dict[str, np.ndarray]:
     """Whether each demonstration succeeds in each space, bool [D] by name.
@@ -88,7 +88,7 @@ def replay_all(
         task: whose success counts.
         scene: of the demonstrations.
         spaces: action spaces.
-        engine: name of the physics engine.
+        engine: name of the physics engine; the one that makes demonstrations when None.
         tick: called with the number of demonstrations that were replayed.
     """
     engines: dict[str, Engine] = {}
@@ -96,7 +96,9 @@ def replay_all(
     for space in spaces:
         controller = controller_of(space)
         if controller not in engines:
-            engines[controller] = make_engine(engine, scene, controller, task.varied)
+            engines[controller] = make_engine(
+                engine or scene.engines[0], scene, controller, task.varied
+            )
         parts = []
         for i in range(0, len(demos), BATCH):
             batch = demos[i : i + BATCH]

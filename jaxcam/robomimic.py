@@ -24,7 +24,7 @@ from rich.console import Console
 
 from jaxcam.collect import FIRST_SEED, camera_windows, new_header
 from jaxcam.demos import Demo, Demos, DemoWriter, read_demos
-from jaxcam.errors import DatasetError, JaxcamError, closest, run_main
+from jaxcam.errors import ConfigError, DatasetError, JaxcamError, closest, run_main
 from jaxcam.locks import exclusive
 from jaxcam.progress import progress
 from jaxcam.replay import replay_all
@@ -45,6 +45,7 @@ from jaxcam.sim.controllers import CONTROL_HZ, gripper_command
 from jaxcam.sim.engine import Start, State
 from jaxcam.sim.scene import Scene
 from jaxcam.sim.task import Task
+from jaxcam.sim.world import World
 
 ENVIRONMENTS = {"Lift": "lift", "LiftRand": "lift"}
 """Our task of each of robosuite's environments that can be replayed."""
@@ -112,6 +113,8 @@ def import_demos(config: RobomimicConfig, console: Console | None = None) -> Dem
     out = Path(config.out or f"data/{config.task}-{config.scene}-{Path(config.file).stem}.hdf5")
     task = make_task(config.task)
     scene = task.scene(config.scene)
+    if not isinstance(scene, Scene):
+        raise ConfigError(f"{config.task} is not one of robosuite's tasks, but the file is of one.")
     with _source(config) as source, exclusive(out, console):
         if out.exists():
             raise DatasetError(f"{out} exists. Choose another --out, or delete it first.")
@@ -307,8 +310,8 @@ def success_of(demos: Demos, console: Console | None = None) -> tuple[np.ndarray
     return recorded, replayed
 
 
-def _ever_succeeds(demo: Demo, task: Task, scene: Scene) -> bool:
-    nq = scene.physics.nq
+def _ever_succeeds(demo: Demo, task: Task, scene: World) -> bool:
+    nq = scene.nq
     qpos, qvel = demo.states[:, 1 : 1 + nq], demo.states[:, 1 + nq :]
     state = State(
         qpos=qpos,

@@ -190,7 +190,7 @@ def test_lost_contacts_are_an_error_that_names_the_limit(lift, scene, start, nam
 
 
 def test_engines_by_name(lift, scene):
-    assert engine_name("auto") == "native"
+    assert engine_name("auto", scene) == "native"
     assert isinstance(make_engine("auto", scene, "osc_pose", lift.varied), NativeEngine)
     assert make_engine("mjx-warp", scene, "joint_position", lift.varied).controller != "osc_pose"
     with pytest.raises(ConfigError, match="mjx-warp"):

@@ -9,7 +9,8 @@ from jaxcam.sim import make_task
 from jaxcam.sim import scene as scene_module
 from jaxcam.sim.native import NativeEngine
 from jaxcam.sim.scene import FIXTURES, SHEET_HALF_SIZE, TABLE_SIZE, TABLE_TOP, build_scene
-from jaxcam.sim.task import ROOM_SHIFT, START_JOINT_NOISE, TABLE_SHIFT, starts
+from jaxcam.sim.table import ROOM_SHIFT, TABLE_SHIFT
+from jaxcam.sim.task import START_JOINT_NOISE, starts
 from jaxcam.sim.tasks.lift import HALF_SIZE, LIFTED, PLACEMENT
 
 

@@ -2,15 +2,18 @@
 
 from collections.abc import Sequence
 from importlib import import_module
+from typing import TYPE_CHECKING
 
 from jaxcam.errors import ConfigError, closest
 from jaxcam.presets import NAMES
-from jaxcam.sim.engine import ControllerName, Engine
-from jaxcam.sim.scene import Scene
-from jaxcam.sim.task import Task
+
+if TYPE_CHECKING:
+    from jaxcam.sim.engine import ControllerName, Engine
+    from jaxcam.sim.task import Task
+    from jaxcam.sim.world import World
 
 
-def make_task(name: str) -> Task:
+def make_task(name: str) -> "Task":
     """The task of that name: the one in `jaxcam/sim/tasks/<name>.py`.
 
     Raises:
@@ -18,40 +21,48 @@ def make_task(name: str) -> Task:
     """
     if name not in NAMES["task"]:
         raise ConfigError(f"Unknown task {name!r}{closest(name, NAMES['task'])}")
-    import_module(f"jaxcam.sim.tasks.{name}")
-    return next(task for task in Task.__subclasses__() if task.name == name)()
+    module = vars(import_module(f"jaxcam.sim.tasks.{name}"))
+    return next(x for x in module.values() if isinstance(x, type) and vars(x).get("name") == name)()
 
 
-def engine_name(name: str) -> str:
-    """The engine meant by a setting: `auto` is mjx-warp on an accelerator, native without one."""
+def engine_name(name: str, scene: "World") -> str:
+    """The engine meant by a setting.
+
+    Args:
+        name: `auto`, or an engine's. `auto` is mjx-warp on an accelerator, where the world can be
+            stepped there, and the one that makes demonstrations elsewhere.
+        scene: the world.
+
+    Raises:
+        ConfigError: if there is no such engine, or it cannot step this world.
+    """
+    if name not in NAMES["engine"]:
+        raise ConfigError(f"Unknown engine {name!r}{closest(name, NAMES['engine'])}")
+    if name != "auto":
+        if name not in scene.engines:
+            raise ConfigError(
+                f"The engine {name!r} cannot step this task's world; auto, or one of "
+                f"{', '.join(scene.engines)}, can."
+            )
+        return name
     import jax
 
-    if name != "auto":
-        return name
-    return "native" if jax.default_backend() == "cpu" else "mjx-warp"
+    is_fast = jax.default_backend() != "cpu" and "mjx-warp" in scene.engines
+    return "mjx-warp" if is_fast else scene.engines[0]
 
 
 def make_engine(
-    name: str, scene: Scene, controller: ControllerName, varied: Sequence[str] = ()
-) -> Engine:
+    name: str, scene: "World", controller: "ControllerName", varied: Sequence[str] = ()
+) -> "Engine":
     """The engine of that name.
 
     Args:
-        name: `auto`, `native`, `mjx-jax` or `mjx-warp`.
-        scene: whose physics model is stepped.
+        name: see `engine_name`.
+        scene: the world that is stepped.
         controller: `osc_pose` or `joint_position`.
         varied: geoms whose sizes differ between episodes.
 
     Raises:
         ConfigError: if there is none, or it cannot run the scene; the message says which can.
     """
-    if name not in NAMES["engine"]:
-        raise ConfigError(f"Unknown engine {name!r}{closest(name, NAMES['engine'])}")
-    name = engine_name(name)
-    if name == "native":
-        from jaxcam.sim.native import NativeEngine
-
-        return NativeEngine(scene, controller, varied)
-    from jaxcam.sim.mjx import MjxEngine
-
-    return MjxEngine(scene, controller, varied, "jax" if name == "mjx-jax" else "warp")
+    return scene.engine(engine_name(name, scene), controller, varied)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxcam.rotations import Array, array_namespace
 
 if TYPE_CHECKING:
-    from jaxcam.sim.scene import Scene
+    from jaxcam.sim.world import World
 
 ControllerName = Literal["osc_pose", "joint_position"]
 
@@ -37,7 +37,7 @@ class State(NamedTuple):
     qvel: Array
     """Joint velocities [B, nv]."""
     warmstart: Array
-    """Accelerations that the constraint solver starts from [B, nv]."""
+    """Accelerations that the constraint solver starts from [B, nv]; [B, 0] in SAPIEN."""
     closed: Array
     """Gripper command in [-1 open, 1 closed] [B]."""
     rest: Array
@@ -60,7 +60,7 @@ class Command(NamedTuple):
     """Positive closes, negative opens [B]."""
 
 
-Success = Callable[["Scene", State, Start], Array]
+Success = Callable[["World", State, Start], Array]
 """A task's `success`: whether each world is done [B]."""
 
 
@@ -172,7 +172,8 @@ class OpenLoop:
 class Engine(Protocol):
     """Steps a batch of worlds of one scene with one controller."""
 
-    scene: "Scene"
+    scene: Any
+    """The world (`jaxcam.sim.world.World`) whose states it advances."""
     substeps: int
     """Physics steps per control step."""
 

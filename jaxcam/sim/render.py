@@ -19,6 +19,9 @@ from mujoco import mjx
 from jaxcam.rays import to_mujoco
 from jaxcam.rotations import Array, array_namespace
 from jaxcam.sim.scene import Scene
+from jaxcam.sim.world import View
+
+__all__ = ["Renderer", "View"]
 
 _FAR = 1e3
 """Depths (m) beyond this count as nothing hit."""
@@ -40,21 +43,6 @@ def _start_warp() -> None:
 
 
 _start_warp()
-
-
-class View(NamedTuple):
-    """What to draw: B worlds, each seen by one camera."""
-
-    qpos: Array
-    """Joint positions [B, nq]."""
-    geom_size: Array
-    """Sizes (m) of the task's varied geoms [B, v, 3]."""
-    fixtures: Array
-    """Poses (xyz, wxyz) of table, room and markers [B, 2 + markers, 7]."""
-    K: Array
-    """Intrinsics in pixels of the picture [B, 3, 3]; no skew."""
-    world_from_camera: Array
-    """Camera poses [B, 4, 4], OpenCV axes."""
 
 
 class Renderer:

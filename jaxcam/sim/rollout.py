@@ -17,9 +17,8 @@ from jaxcam.ensemble import ensemble
 from jaxcam.rays import invert
 from jaxcam.rotations import Array, array_namespace
 from jaxcam.sim.engine import Command, Engine, Play, Progress, Start, State
-from jaxcam.sim.render import Renderer, View
-from jaxcam.sim.scene import Scene
 from jaxcam.sim.task import Task
+from jaxcam.sim.world import Painter, View, World
 
 Act = Callable[[dict[str, np.ndarray], int], np.ndarray]
 """`act(obs, call)`: observations of all episodes and number of the call, to chunks [B, T, A]. MJX
@@ -43,9 +42,9 @@ class Rollouts:
 def rollout(
     act: Act,
     task: Task,
-    scene: Scene,
+    scene: World,
     engine: Engine,
-    renderer: Renderer,
+    renderer: Painter,
     start: Start,
     K: np.ndarray,
     world_from_camera: np.ndarray,
@@ -124,7 +123,7 @@ class _PolicyTurn:
 
     def __init__(
         self,
-        renderer: Renderer,
+        renderer: Painter,
         space: str,
         execute: int | None,
         obs_steps: int,

@@ -14,13 +14,15 @@ Both have the same joints in the same order, so one `qpos` serves both.
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
 
 from jaxcam.errors import ConfigError, closest
-from jaxcam.rotations import Array, array_namespace
+from jaxcam.sim.controllers import JOINT_LAG
+from jaxcam.sim.engine import ControllerName, Engine
+from jaxcam.sim.world import Painter, World
 
 _disabled = logging.root.manager.disable
 logging.disable(logging.WARNING)  # robosuite warns of parts of it that are not used here
@@ -70,43 +72,59 @@ GRIP_SITE = "gripper0_right_grip_site"
 _COLLIDES = ("table_collision", "floor", "gripper0_right_")
 
 
-@dataclass(frozen=True)
-class Scene:
-    """One task's world: the two models and where the robot is in their arrays."""
+@dataclass(frozen=True, kw_only=True)
+class Scene(World):
+    """One task's world in MuJoCo: the two models and where the robot is in their arrays."""
+
+    engines: ClassVar[tuple[str, ...]] = ("native", "mjx-jax", "mjx-warp")
+    packages: ClassVar[tuple[str, ...]] = ("mujoco", "robosuite")
 
     physics: mujoco.MjModel
     """Slim model that engines step."""
     visual: mujoco.MjModel
     """Model that the renderer draws; one camera, table and room as mocap bodies."""
-    name: str
-    arm: np.ndarray = field(repr=False)
-    """Indices of the seven arm joints in qpos (and, the joints being hinges, in qvel and ctrl)."""
-    fingers: np.ndarray = field(repr=False)
-    """Indices of the two finger joints in qpos (and in qvel and ctrl)."""
     grip_site: int
     """Site that the controllers move: between the finger tips."""
-    home: np.ndarray = field(repr=False)
-    """Arm joint angles (rad) [7] from which episodes start, before noise."""
     fixtures: np.ndarray = field(repr=False)
     """Indices of table, room and markers among the visual model's mocap bodies."""
-    world_from_base: np.ndarray = field(repr=False)
-    """Pose of the robot's base [4, 4]; ray-maps and policies live in this frame."""
-
+    joint_lag: float = JOINT_LAG
     table_thickness: float = TABLE_SIZE[2]
 
     def qpos_of(self, body: str) -> int:
         """Address in qpos of the free joint (xyz, wxyz) of an object's body."""
         return int(self.physics.joint(f"{body}_joint0").qposadr[0])
 
-    def proprio(self, qpos: Array, grip_position: Array) -> Array:
-        """What the robot feels, float32 [..., 11].
+    def engine(self, name: str, controller: ControllerName, varied: Sequence[str] = ()) -> Engine:
+        """MuJoCo's C library, or MJX; see `World.engine`."""
+        if name == "native":
+            from jaxcam.sim.native import NativeEngine
 
-        Joint angles (rad) [7], grip site in the base frame (m) [3], opening of the fingers (m).
-        """
-        local = (grip_position - self.world_from_base[:3, 3]) @ self.world_from_base[:3, :3]
-        opening = abs(qpos[..., self.fingers]).sum(-1, keepdims=True)
-        xp = array_namespace(qpos)
-        return xp.concatenate([qpos[..., self.arm], local, opening], -1).astype(np.float32)
+            return NativeEngine(self, controller, varied)
+        from jaxcam.sim.mjx import MjxEngine
+
+        return MjxEngine(self, controller, varied, "jax" if name == "mjx-jax" else "warp")
+
+    def painter(
+        self, height: int, width: int | None = None, *, varied: Sequence[str] = ()
+    ) -> Painter:
+        """MJX's ray tracer; see `World.painter`."""
+        from jaxcam.sim.render import Renderer
+
+        return Renderer(self, height, width, varied=tuple(varied))
+
+    @property
+    def look(self) -> str:
+        """The ray tracer's version and settings."""
+        from jaxcam.sim.render import Renderer
+
+        return Renderer.identity()
+
+    @property
+    def painter_uses_all_cores(self) -> bool:
+        """On a GPU; on a CPU Warp draws with one thread."""
+        import jax
+
+        return jax.default_backend() != "cpu"
 
 
 def prism(radius: float, half_height: float, sides: int) -> np.ndarray:
@@ -171,6 +189,8 @@ def build_scene(
         physics=physics,
         visual=visual,
         name=name,
+        nq=physics.nq,
+        nv=physics.nv,
         arm=np.array([physics.joint(j).qposadr[0] for j in joints]),
         fingers=np.array([physics.joint(j).qposadr[0] for j in fingers]),
         grip_site=int(physics.site(GRIP_SITE).id),

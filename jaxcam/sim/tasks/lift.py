@@ -9,7 +9,8 @@ from jaxcam.rotations import Array
 from jaxcam.sim.engine import Start, State
 from jaxcam.sim.experts import CLOSE, OPEN, Hand
 from jaxcam.sim.scene import TABLE_TOP, BoxObject, Scene
-from jaxcam.sim.task import Aim, Sight, Task
+from jaxcam.sim.table import TableTask
+from jaxcam.sim.task import Aim, Sight
 
 HALF_SIZE = (0.020, 0.022)
 """Range (m) of the cube's half-sizes, each side drawn by itself (robosuite, the authors)."""
@@ -22,7 +23,7 @@ LIFTED = 0.04
 """Height (m) of the cube's centre above the table that counts as lifted (robosuite)."""
 
 
-class Lift(Task):
+class Lift(TableTask):
     """Lift (paper, section IV-A; robosuite's `Lift`, the authors' `LiftRand`)."""
 
     name: ClassVar[str] = "lift"

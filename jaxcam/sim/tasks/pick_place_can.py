@@ -9,7 +9,8 @@ from jaxcam.rotations import Array, array_namespace
 from jaxcam.sim.engine import Start, State
 from jaxcam.sim.experts import CLOSE, OPEN, Hand, easy_grip, funnel
 from jaxcam.sim.scene import TABLE_TOP, CanObject, CanVisualObject, Scene, prism
-from jaxcam.sim.task import Aim, Sight, Task
+from jaxcam.sim.table import TableTask
+from jaxcam.sim.task import Aim, Sight
 
 RADIUS, HALF_HEIGHT = 0.026, 0.040
 """Of robosuite's can (m); its origin is its centre."""
@@ -30,7 +31,7 @@ PRESS = 0.004
 """How far (m) below the table the expert lowers the can towards, so that it stands when let go."""
 
 
-class PickPlaceCan(Task):
+class PickPlaceCan(TableTask):
     """Pick Place Can (paper, section IV-A; robosuite's can, the authors' `CanRand`)."""
 
     name: ClassVar[str] = "pick_place_can"

@@ -9,8 +9,8 @@ from jaxcam.rays import POSE_RANGES, PoseRanges
 from jaxcam.rotations import Array, array_namespace
 from jaxcam.sim.engine import Start, State
 from jaxcam.sim.experts import CLOSE, Hand, pushing_grip
-from jaxcam.sim.scene import Scene
-from jaxcam.sim.task import Aim, Sight, Task
+from jaxcam.sim.maniskill.task import ManiSkillTask, SapienWorld
+from jaxcam.sim.task import Aim, Sight
 
 HALF_SIZE = 0.02
 """Of the cube (m), ManiSkill's."""
@@ -32,10 +32,11 @@ NEAR = 0.03
 """Distance (m) between cube and target at which the expert is content."""
 
 
-class Push(Task):
+class Push(ManiSkillTask):
     """Push (paper, section IV-A; ManiSkill's `PushCube`, the authors' `PushCubeRand`)."""
 
     name: ClassVar[str] = "push"
+    env: ClassVar[str] = "JaxcamPush-v1"
     horizon: ClassVar[int] = 150
     views: ClassVar[int] = 1
     stair: ClassVar[tuple[int, int]] = (3, 1)
@@ -47,7 +48,7 @@ class Push(Task):
         """The cube, by ManiSkill's name."""
         return ["cube"]
 
-    def place(self, scene: Scene, rng: np.random.Generator, start: Start) -> None:
+    def place(self, scene: SapienWorld, rng: np.random.Generator, start: Start) -> None:
         """Cube and target on a segment about the middle of the table, the cube facing along it."""
         anchor = np.add(MIDDLE, rng.uniform(-ANCHOR, ANCHOR, 2))
         travel, yaw = rng.uniform(*TRAVEL), rng.uniform(-np.pi, np.pi)
@@ -57,14 +58,14 @@ class Push(Task):
         start.qpos[cube + 3 : cube + 7] = [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
         start.fixtures[2] = *(anchor + travel * 2 / 3 * along), TARGET_HEIGHT, *FLAT
 
-    def success(self, scene: Scene, state: State, start: Start) -> Array:
+    def success(self, scene: SapienWorld, state: State, start: Start) -> Array:
         """The cube's middle is over the target, and the cube on the table."""
         xp, cube = array_namespace(state.qpos), scene.qpos_of("cube")
         aside = state.qpos[..., cube : cube + 2] - start.fixtures[..., 2, :2]
         low = state.qpos[..., cube + 2] < HALF_SIZE + LOW
         return (xp.sqrt((aside**2).sum(-1)) < RADIUS) & low
 
-    def expert(self, scene: Scene, sight: Sight) -> Iterator[Aim]:
+    def expert(self, scene: SapienWorld, sight: Sight) -> Iterator[Aim]:
         """Behind the cube, down, and on until it is over the target's middle; fingers closed."""
         cube = slice(scene.qpos_of("cube"), scene.qpos_of("cube") + 2)
         target = sight.start.fixtures[2, :2]

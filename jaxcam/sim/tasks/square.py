@@ -9,7 +9,8 @@ from jaxcam.rotations import Array, array_namespace, matrix_from_rotvec
 from jaxcam.sim.engine import Start, State
 from jaxcam.sim.experts import CLOSE, OPEN, Hand, easy_grip, funnel
 from jaxcam.sim.scene import TABLE_TOP, CompositeObject, Scene, SquareNutObject
-from jaxcam.sim.task import Aim, Sight, Task
+from jaxcam.sim.table import TableTask
+from jaxcam.sim.task import Aim, Sight
 
 NUT_HALF_HEIGHT, HANDLE = 0.010, 0.054
 """Of robosuite's nut (m), its origin being the middle of the hole: half its thickness, and how far
@@ -61,7 +62,7 @@ def _peg() -> Any:
     )
 
 
-class Square(Task):
+class Square(TableTask):
     """Assembly Square (paper, section IV-A; robosuite's nut, the authors' `SquareRand`)."""
 
     name: ClassVar[str] = "square"

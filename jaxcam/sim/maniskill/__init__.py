@@ -1,0 +1,1 @@
+"""The bridge to ManiSkill: its environments live in child processes, everything else here."""

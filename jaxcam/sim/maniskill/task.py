@@ -1,0 +1,139 @@
+"""Tasks in ManiSkill, as the rest of the package sees them.
+
+Nothing here imports PyTorch or SAPIEN: those live in child processes (`jaxcam.sim.maniskill.pool`).
+"""
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from jaxcam.errors import ConfigError, closest
+from jaxcam.presets import NAMES
+from jaxcam.rotations import matrix_from_rotvec
+from jaxcam.sim.engine import ControllerName, Engine, Start
+from jaxcam.sim.task import Task, shifted_fixtures
+from jaxcam.sim.world import Painter, World
+
+HOME = np.array([0, 1 / 8, 0, -5 / 8, 0, 3 / 4, 1 / 4]) * np.pi
+"""Arm joint angles (rad) from which episodes start: the rest pose of ManiSkill's Panda."""
+OPEN = 0.04
+"""Opening of one finger (m) when open."""
+JOINTS = 9
+"""Joints of the robot: arm, then fingers."""
+TABLE_SHIFT = 0.2
+"""Half-range (m) of the shift of the table that is seen in randomised scenes (authors' code)."""
+ROOM_SHIFT = 2.0
+"""Half-range (m) of the floor's shift in randomised scenes."""
+JOINT_LAG = 0.1
+"""Time (s) by which steadily moving joints trail behind their targets: damping over stiffness of
+ManiSkill's Panda."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SapienWorld(World):
+    """A task's world in SAPIEN.
+
+    A state's `qpos` are the joint angles, then each object's pose (xyz, wxyz) in the world; its
+    `qvel` the joint velocities, then each object's linear and angular velocity in the world.
+    """
+
+    engines: ClassVar[tuple[str, ...]] = ("sapien",)
+    packages: ClassVar[tuple[str, ...]] = ("mani-skill", "sapien", "torch")
+
+    task: str
+    """Name of the task."""
+    env: str
+    """Name of its environment in `jaxcam.sim.maniskill.envs`."""
+    objects: tuple[str, ...]
+    """Names of the actors that move."""
+    markers: tuple[str, ...]
+    """Names of the actors that are seen and never touched."""
+    joint_lag: float = JOINT_LAG
+
+    def qpos_of(self, body: str) -> int:
+        """Address in qpos of an object's pose."""
+        return JOINTS + 7 * self.objects.index(body)
+
+    def engine(self, name: str, controller: ControllerName, varied: Sequence[str] = ()) -> Engine:
+        """PhysX on the CPU, in child processes; see `World.engine`."""
+        from jaxcam.sim.maniskill.engine import SapienEngine
+
+        return SapienEngine(self, controller)
+
+    def painter(
+        self, height: int, width: int | None = None, *, varied: Sequence[str] = ()
+    ) -> Painter:
+        """SAPIEN's rasteriser, in child processes; see `World.painter`."""
+        from jaxcam.sim.maniskill.render import SapienPainter
+
+        return SapienPainter(self, height, width)
+
+    @property
+    def look(self) -> str:
+        """SAPIEN's version and ManiSkill's shader."""
+        from jaxcam.sim.maniskill.render import look
+
+        return look()
+
+    @property
+    def painter_uses_all_cores(self) -> bool:
+        """One child process a core draws."""
+        return True
+
+
+class ManiSkillTask(Task):
+    """A task in one of `jaxcam.sim.maniskill.envs`; its `objects` are names of actors."""
+
+    env: ClassVar[str]
+    """Name of its environment."""
+    base: ClassVar[tuple[float, float, float]] = (-0.615, 0.0, 0.0)
+    """The robot's base on the table (m), and its turn (rad) about the vertical."""
+
+    def scene(self, name: str) -> SapienWorld:
+        """The world of the task's environment; see `Task.scene`."""
+        return _world(type(self), name)
+
+    def require(self) -> None:
+        """ManiSkill, and a Vulkan device; see `Task.require`."""
+        from jaxcam.sim.maniskill.machine import require
+
+        require()
+
+    def unplaced(self, scene: SapienWorld, seed: int) -> Start:
+        """Objects at the origin, fingers open."""
+        qpos = np.zeros(scene.nq)
+        qpos[scene.fingers] = OPEN
+        for name in scene.objects:
+            qpos[scene.qpos_of(name) + 3] = 1
+        return Start(
+            qpos=qpos,
+            geom_size=np.zeros((0, 3)),
+            fixtures=shifted_fixtures(scene, len(self.markers), seed, TABLE_SHIFT, ROOM_SHIFT),
+        )
+
+
+@functools.cache
+def _world(task: type[ManiSkillTask], name: str) -> SapienWorld:
+    if name not in NAMES["scene"]:
+        raise ConfigError(f"Unknown scene {name!r}{closest(name, NAMES['scene'])}.")
+    objects = tuple(task().objects())
+    x, y, yaw = task.base
+    world_from_base = np.eye(4)
+    world_from_base[:3, :3] = matrix_from_rotvec(np.array([0, 0, yaw]))
+    world_from_base[:2, 3] = x, y
+    return SapienWorld(
+        name=name,
+        nq=JOINTS + 7 * len(objects),
+        nv=JOINTS + 6 * len(objects),
+        arm=np.arange(7),
+        fingers=np.arange(7, JOINTS),
+        home=HOME,
+        world_from_base=world_from_base,
+        task=task.name,
+        env=task.env,
+        objects=objects,
+        markers=task.markers,
+    )
