@@ -1,5 +1,6 @@
 """Our controllers and slim model against trajectories recorded from robosuite's own environment."""
 
+import functools
 from pathlib import Path
 
 import jax
@@ -7,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxcam.rotations import matrix_from_quaternion, rotvec_from_matrix
+from jaxcam.rotations import matrix_from_quaternion, matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.sim import controllers
 from jaxcam.sim.engine import Command, Start
-from jaxcam.sim.native import NativeEngine
+from jaxcam.sim.native import TORQUES, NativeEngine
 from jaxcam.sim.scene import build_scene
 from jaxcam.sim.tasks.lift import Lift
 
@@ -56,39 +57,59 @@ def test_follows_robosuite_over_100_control_steps(scene, controller, name):
 
 def random_arm(seed):
     rng = np.random.default_rng(seed)
-    jacobian = rng.normal(size=(5, 6, 7))
-    root = rng.normal(size=(5, 7, 7))
-    rotation = np.linalg.qr(rng.normal(size=(2, 5, 3, 3)))[0]
-    rotation *= np.sign(np.linalg.det(rotation))[..., None, None]
+    root = rng.normal(size=(7, 7))
+    rotation = np.linalg.qr(rng.normal(size=(2, 3, 3)))[0]
+    rotation *= np.sign(np.linalg.det(rotation))[:, None, None]
     arm = controllers.ArmState(
-        q=rng.normal(size=(5, 7)),
-        qd=rng.normal(size=(5, 7)),
-        position=rng.normal(size=(5, 3)),
+        q=rng.normal(size=7),
+        qd=rng.normal(size=7),
+        position=rng.normal(size=3),
         rotation=rotation[0],
-        jacobian=jacobian,
-        mass=root @ root.swapaxes(-1, -2) + 3 * np.eye(7),
-        bias=rng.normal(size=(5, 7)),
+        jacobian=rng.normal(size=(6, 7)),
+        mass=root @ root.T + 3 * np.eye(7),
+        bias=rng.normal(size=7),
     )
-    return arm, rng.normal(size=(5, 3)), rotation[1], rng.normal(size=(5, 7))
+    return arm, rng.normal(size=3), rotation[1], rng.normal(size=7)
 
 
-def test_one_source_gives_the_same_torques_under_numpy_and_jax():
+def test_one_source_gives_the_same_torques_under_numpy_numba_and_jax():
     arm, position, rotation, rest = random_arm(0)
-    with jax.enable_x64(True):
-        as_jax = jax.tree.map(jnp.asarray, (arm, position, rotation, rest))
-        torque = jax.jit(controllers.osc_pose)(*as_jax)
-        np.testing.assert_allclose(
-            torque, controllers.osc_pose(arm, position, rotation, rest), rtol=1e-9
+    goals = {"osc_pose": (position, rotation, rest), "joint_position": (rest,)}
+    for name, goal in goals.items():
+        torque = controllers.torque(name, arm, *goal)
+        with jax.enable_x64(True):
+            as_jax = jax.tree.map(jnp.asarray, (arm, *goal))
+            traced = jax.jit(functools.partial(controllers.torque, name))(*as_jax)
+            np.testing.assert_allclose(traced, torque, rtol=1e-9)
+        motion = np.roll(arm.jacobian.T, 3, axis=1)[None]  # about the grip site itself
+        sensed = controllers.Sensed(
+            q=arm.q[None],
+            qd=arm.qd[None],
+            position=arm.position[None],
+            rotation=arm.rotation[None],
+            motion=motion,
+            origin=arm.position[None],
+            mass=arm.mass.reshape(1, -1),
+            bias=arm.bias[None],
         )
-        torque = jax.jit(controllers.joint_position)(as_jax[0], as_jax[3])
-        np.testing.assert_allclose(torque, controllers.joint_position(arm, rest), rtol=1e-9)
+        out, mass_at = np.empty((1, 7)), np.arange(49).reshape(7, 7)
+        goal = tuple(x[None] for x in goal)
+        TORQUES[name](sensed, mass_at, np.array([0]), goal, out)
+        np.testing.assert_allclose(out[0], torque, rtol=1e-9)
+
+
+def test_rotation_error_is_the_axis_times_the_sine_of_the_angle():
+    turn = np.array([0.1, -0.7, 0.4])
+    current, angle = matrix_from_rotvec(np.array([1.0, 2.0, -0.5])), np.linalg.norm(turn)
+    error = controllers.rotation_error(current, matrix_from_rotvec(turn) @ current)
+    np.testing.assert_allclose(error, turn / angle * np.sin(angle), atol=1e-12)
 
 
 def test_null_space_torque_does_not_accelerate_the_grip_site():
     arm, position, rotation, rest = random_arm(1)
     with_rest = controllers.osc_pose(arm, position, rotation, rest)
     without = controllers.osc_pose(arm, position, rotation, rest + 1.0)
-    acceleration = arm.jacobian @ np.linalg.solve(arm.mass, (with_rest - without)[..., None])
+    acceleration = arm.jacobian @ np.linalg.solve(arm.mass, with_rest - without)
     assert abs(with_rest - without).max() > 1
     np.testing.assert_allclose(acceleration, 0, atol=1e-8)
 

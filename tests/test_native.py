@@ -84,6 +84,12 @@ def test_a_reset_forgets_everything(lift, scene, start):
         same(a, b)
 
 
+def test_a_step_before_the_first_reset_is_refused(lift, scene, batch):
+    engine = NativeEngine(scene, varied=lift.varied)
+    with pytest.raises(RuntimeError, match="call reset first"):
+        engine.step(batch[0], Command(np.ones((4, 6)), np.ones(4)))
+
+
 def test_inactive_worlds_stay_as_they_are(lift, scene, start, batch):
     engine = NativeEngine(scene, varied=lift.varied)
     active = np.array([True, False, True, False])

@@ -1,13 +1,13 @@
-"""Arm and gripper controllers, written once for NumPy and JAX.
+"""Arm and gripper controllers, written once for every engine.
 
-Every function takes arrays with any leading batch axes and works in the namespace of its input:
-the native engine runs it under NumPy in float64, MJX under `jax.jit`. Control laws, gains and
-update order follow robosuite 1.5.2 (`controllers/parts/arm/osc.py`, `controllers/parts/generic/
+The control laws are those of one arm: the native engine compiles them with Numba in float64, MJX
+maps them over worlds under `jax.jit`, and they run under NumPy as they stand. Control laws, gains
+and update order follow robosuite 1.5.2 (`controllers/parts/arm/osc.py`, `controllers/parts/generic/
 joint_pos.py`, `models/grippers/panda_gripper.py`), checked against trajectories recorded from it
 (`tests/golden/make_robosuite_osc.py`).
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,22 +28,48 @@ FINGER_RANGE = 0.04
 
 
 class ArmState(NamedTuple):
-    """What the controllers read of the simulator, at the current substep."""
+    """What the controllers read of one world, at the current substep."""
 
     q: Array
-    """Joint angles (rad) [..., 7]."""
+    """Joint angles (rad) [7]."""
     qd: Array
-    """Joint velocities (rad/s) [..., 7]."""
+    """Joint velocities (rad/s) [7]."""
     position: Array
-    """Grip site in the world (m) [..., 3]."""
+    """Grip site in the world (m) [3]."""
     rotation: Array
-    """Grip site's axes in the world [..., 3, 3]."""
+    """Grip site's axes in the world [3, 3]."""
     jacobian: Array
-    """Grip site's Jacobian, translation above rotation [..., 6, 7]."""
+    """Grip site's Jacobian, translation above rotation [6, 7]."""
     mass: Array
-    """Joint-space inertia [..., 7, 7], armature included."""
+    """Joint-space inertia [7, 7], armature included."""
     bias: Array
-    """Gravity and Coriolis torques (N m) [..., 7]."""
+    """Gravity and Coriolis torques (N m) [7]."""
+
+
+class Sensed(NamedTuple):
+    """What MuJoCo computes of a batch of worlds, a row each, at the current substep."""
+
+    q: Array
+    qd: Array
+    position: Array
+    rotation: Array
+    motion: Array
+    """The joints' motions [B, 7, 6], rotation before translation, about `origin`."""
+    origin: Array
+    """[B, 3] in the world (m)."""
+    mass: Array
+    """Joint-space inertia, sparse [B, nM]."""
+    bias: Array
+
+
+def solve(matrix: Array, vector: Array) -> Array:
+    """`x` of `matrix @ x = vector`, `matrix` positive definite; in the namespace of its input."""
+    return array_namespace(matrix).linalg.solve(matrix, vector)
+
+
+def join(first: Array, second: Array) -> Array:
+    """One vector behind the other, in the namespace of its input."""
+    return array_namespace(first).concatenate((first, second))
 
 
 def osc_pose(arm: ArmState, position: Array, rotation: Array, rest: Array) -> Array:
@@ -51,40 +77,38 @@ def osc_pose(arm: ArmState, position: Array, rotation: Array, rest: Array) -> Ar
 
     Args:
         arm: current state.
-        position: target in the world (m) [..., 3].
-        rotation: target axes in the world [..., 3, 3].
-        rest: joint angles (rad) [..., 7] that the null space is pulled to (the episode's start).
+        position: target in the world (m) [3].
+        rotation: target axes in the world [3, 3].
+        rest: joint angles (rad) [7] that the null space is pulled to (the episode's start).
 
     Returns:
-        Joint torques (N m) [..., 7], gravity compensated, not yet clipped.
+        Joint torques (N m) [7], gravity compensated, not yet clipped.
     """
-    xp = array_namespace(arm.q)
-    jacobian_t = xp.swapaxes(arm.jacobian, -1, -2)
-    velocity = _apply(arm.jacobian, arm.qd)
-    error = xp.concatenate(
-        [position - arm.position, _rotation_error(xp, arm.rotation, rotation)], -1
-    )
-    acceleration = OSC_KP * error - 2 * np.sqrt(OSC_KP) * velocity
+    jacobian, jacobian_t = arm.jacobian, arm.jacobian.T
+    error = join(position - arm.position, rotation_error(arm.rotation, rotation))
+    acceleration = OSC_KP * error - 2 * OSC_KP**0.5 * (jacobian @ arm.qd)
 
     # Operational-space inertia, translation and rotation decoupled for the task...
-    inverse = arm.jacobian @ xp.linalg.solve(arm.mass, jacobian_t)
-    wrench = xp.concatenate(
-        [
-            _solve(xp, inverse[..., :3, :3], acceleration[..., :3]),
-            _solve(xp, inverse[..., 3:, 3:], acceleration[..., 3:]),
-        ],
-        -1,
-    )
+    inverse = jacobian @ solve(arm.mass, jacobian_t)
+    force = solve(inverse[:3, :3], acceleration[:3])
+    moment = solve(inverse[3:, 3:], acceleration[3:])
     # ...and coupled for the null space: N^T M a = M a - J^T (J M^-1 J^T)^-1 J a.
-    rest_acceleration = NULL_KP * (rest - arm.q) - 2 * np.sqrt(NULL_KP) * arm.qd
-    wrench = wrench - _solve(xp, inverse, _apply(arm.jacobian, rest_acceleration))
-    return _apply(jacobian_t, wrench) + _apply(arm.mass, rest_acceleration) + arm.bias
+    rest_acceleration = NULL_KP * (rest - arm.q) - 2 * NULL_KP**0.5 * arm.qd
+    wrench = join(force, moment) - solve(inverse, jacobian @ rest_acceleration)
+    return jacobian_t @ wrench + arm.mass @ rest_acceleration + arm.bias
 
 
 def joint_position(arm: ArmState, target: Array) -> Array:
-    """Joint torques (N m) [..., 7] that bring the arm to joint angles `target` (rad) [..., 7]."""
-    acceleration = JOINT_KP * (target - arm.q) - 2 * np.sqrt(JOINT_KP) * arm.qd
-    return _apply(arm.mass, acceleration) + arm.bias
+    """Joint torques (N m) [7] that bring the arm to joint angles `target` (rad) [7]."""
+    acceleration = JOINT_KP * (target - arm.q) - 2 * JOINT_KP**0.5 * arm.qd
+    return arm.mass @ acceleration + arm.bias
+
+
+def rotation_error(current: Array, target: Array) -> Array:
+    """Half the sum of the axes' cross products [3]: sin(angle) times the axis of what is left."""
+    left = target @ current.T
+    twice = left - left.T
+    return 0.5 * join(twice[2:, 1], join(twice[:1, 2], twice[1:2, 0]))
 
 
 def goal(controller: ControllerName, target: Array, rest: Array) -> tuple[Array, ...]:
@@ -101,8 +125,59 @@ def goal(controller: ControllerName, target: Array, rest: Array) -> tuple[Array,
 
 
 def torque(controller: ControllerName, arm: ArmState, *goal: Array) -> Array:
-    """Joint torques (N m) [..., 7] of the controller of that name, not yet clipped."""
+    """Joint torques (N m) [7] of the controller of that name, not yet clipped."""
     return (joint_position if controller == "joint_position" else osc_pose)(arm, *goal)
+
+
+def pose_torques(
+    sensed: Sensed, mass_at: Array, rows: Array, goal: tuple[Array, ...], out: Array
+) -> None:
+    """Torques of `osc_pose` for some worlds, into `out` [n, 7]; the native engine compiles it.
+
+    Args:
+        sensed: of all worlds.
+        mass_at: where each element of the inertia is in the sparse one [7, 7].
+        rows: the worlds [n].
+        goal: of `osc_pose` for each of `rows`, see `goal`.
+        out: what is written.
+    """
+    position, rotation, rest = goal
+    for k in range(len(rows)):
+        arm = sense(sensed, mass_at, rows[k])
+        out[k] = osc_pose(arm, position[k], rotation[k], rest[k])
+
+
+def joint_torques(
+    sensed: Sensed, mass_at: Array, rows: Array, goal: tuple[Array, ...], out: Array
+) -> None:
+    """Torques of `joint_position`; as `pose_torques`."""
+    for k in range(len(rows)):
+        out[k] = joint_position(sense(sensed, mass_at, rows[k]), goal[0][k])
+
+
+def sense(sensed: Sensed, mass_at: Array, i: int) -> ArmState:
+    """What the controllers need of world `i`."""
+    lever = sensed.position[i] - sensed.origin[i]
+    jacobian, mass = np.empty((6, 7)), np.empty((7, 7))
+    for j in range(7):
+        motion = sensed.motion[i, j]
+        axis, slide = motion[:3], motion[3:]
+        for a in range(3):
+            b, c = (a + 1) % 3, (a + 2) % 3
+            jacobian[a, j] = slide[a] + axis[b] * lever[c] - axis[c] * lever[b]
+            jacobian[3 + a, j] = axis[a]
+        for k in range(7):
+            mass[j, k] = sensed.mass[i, mass_at[j, k]]
+    # Copies: Numba's matrix products want rows without gaps.
+    return ArmState(
+        sensed.q[i].copy(),
+        sensed.qd[i].copy(),
+        sensed.position[i],
+        sensed.rotation[i].copy(),
+        jacobian,
+        mass,
+        sensed.bias[i],
+    )
 
 
 def gripper_command(closed: Array, action: Array) -> Array:
@@ -116,19 +191,3 @@ def finger_targets(closed: Array) -> Array:
     xp = array_namespace(closed)
     opening = FINGER_RANGE / 2 * (1 - closed)
     return xp.stack([opening, -opening], -1)
-
-
-def _rotation_error(xp: Any, current: Array, target: Array) -> Array:
-    """Half the sum of the axes' cross products: sin(angle) times the axis of the rotation left."""
-    a, b, c = (current[..., i, :] for i in range(3))
-    x, y, z = (target[..., i, :] for i in range(3))
-    # Written out: NumPy's `cross` takes as long as all the solving above.
-    return 0.5 * xp.stack([b * z - c * y, c * x - a * z, a * y - b * x], -2).sum(-1)
-
-
-def _apply(matrix: Array, vector: Array) -> Array:
-    return (matrix @ vector[..., None])[..., 0]
-
-
-def _solve(xp: Any, matrix: Array, vector: Array) -> Array:
-    return xp.linalg.solve(matrix, vector[..., None])[..., 0]

@@ -251,12 +251,12 @@ class MjxEngine(Engine):
         scratch = self._scratch(len(target))
         sense = jax.vmap(functools.partial(self._sense, scratch))
         integrate = jax.vmap(functools.partial(self._integrate, scratch))
+        control = jax.vmap(functools.partial(controllers.torque, self.controller))
 
         def substep(_: int, now: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
             qpos, qvel, warmstart, overflow = now
             arm, begun = sense(bodies, qpos, qvel, warmstart)
-            torque = controllers.torque(self.controller, arm, *goal)
-            torque = jnp.clip(torque, *self._limits)
+            torque = jnp.clip(control(arm, *goal), *self._limits)
             ctrl = jnp.zeros((len(target), self.scene.physics.nu))
             ctrl = ctrl.at[:, self.scene.arm].set(torque).at[:, self.scene.fingers].set(fingers)
             *moved, bits = integrate(bodies, begun, qpos, qvel, warmstart, ctrl)

@@ -3,25 +3,26 @@
 import itertools
 import logging
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import mujoco
+import numba
 import numpy as np
 from mujoco.batch import Batch
+from numba.extending import overload, register_jitable
 
 from jaxcam.sim import controllers
 from jaxcam.sim.bodies import box_inertia, full_from_sparse
-from jaxcam.sim.controllers import ArmState
+from jaxcam.sim.controllers import Sensed
 from jaxcam.sim.engine import Command, ControllerName, Engine, Start, State
 from jaxcam.sim.scene import Scene
 
-_TOGETHER = 32
+_TOGETHER = 64
 """Worlds that go through a control step together, at most: few enough that their data stays in a
-core's cache, enough to share the fixed cost of the controller."""
+core's cache, enough to share the fixed cost of a call."""
 _LEAST = 12
-"""Worlds that a further thread is worth: with fewer, threads only wait for each other's controller,
-which holds the GIL."""
+"""Worlds that a further thread is worth: with fewer, threads only wait for each other's calls."""
 _BAD = [
     int(mujoco.mjtWarning.mjWARN_BADQPOS),
     int(mujoco.mjtWarning.mjWARN_BADQVEL),
@@ -31,12 +32,69 @@ _BAD = [
 _VELOCITY = mujoco.mjtStage.mjSTAGE_VEL.value
 
 
+@overload(controllers.solve)
+def _solve(matrix: np.ndarray, vector: np.ndarray) -> Callable[..., np.ndarray]:
+    # No LAPACK: it takes longer to be called than to solve, and raises for one bad world of many.
+    if vector.ndim == 1:
+
+        def compiled(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+            return _eliminate(matrix.copy(), vector.copy().reshape(-1, 1)).reshape(-1)
+    else:
+
+        def compiled(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+            return _eliminate(matrix.copy(), vector.copy())
+
+    return compiled
+
+
+@register_jitable
+def _eliminate(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Turns `b` into the solution of `a @ x = b`, `a` being positive definite; both are used up."""
+    size, columns = b.shape
+    for i in range(size):
+        for j in range(i + 1, size):
+            factor = a[j, i] / a[i, i]
+            for k in range(i + 1, size):
+                a[j, k] -= factor * a[i, k]
+            for k in range(columns):
+                b[j, k] -= factor * b[i, k]
+    for i in range(size - 1, -1, -1):
+        for k in range(columns):
+            for j in range(i + 1, size):
+                b[i, k] -= a[i, j] * b[j, k]
+            b[i, k] /= a[i, i]
+    return b
+
+
+@overload(controllers.join)
+def _join(first: np.ndarray, second: np.ndarray) -> Callable[..., np.ndarray]:
+    def compiled(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        return np.concatenate((first, second))
+
+    return compiled
+
+
+for _part in (
+    controllers.osc_pose,
+    controllers.joint_position,
+    controllers.rotation_error,
+    controllers.sense,
+):
+    register_jitable(_part)
+_compile = numba.njit(nogil=True, cache=True, error_model="numpy")
+TORQUES = {
+    "osc_pose": _compile(controllers.pose_torques),
+    "joint_position": _compile(controllers.joint_torques),
+}
+"""Compiled at first use in about 20 s, then kept on disk."""
+
+
 class NativeEngine(Engine):
-    """Steps worlds with MuJoCo's `Batch`, and a controller batched over worlds between the steps.
+    """Steps worlds with MuJoCo's `Batch`, and the controller, compiled by Numba, between the steps.
 
     Each thread owns a contiguous share of the batch and takes it, some worlds at a time, through
-    all substeps of a control step. The physics releases the GIL, so one thread's controller runs
-    beside another's physics. The controller runs at every substep, as robosuite's does.
+    all substeps of a control step. Physics and controller release the GIL. The controller runs at
+    every substep, as robosuite's does.
 
     Args:
         scene: whose physics model is stepped.
@@ -91,6 +149,8 @@ class NativeEngine(Engine):
 
     def step(self, state: State, command: Command, active: np.ndarray | None = None) -> State:
         """Advances the worlds one control step; see `Engine.step`."""
+        if not self._places:
+            raise RuntimeError("NativeEngine.step needs a batch of worlds: call reset first.")
         run = state.ok if active is None else state.ok & active
         new = State(*(np.copy(x) for x in state))
         gripper = np.asarray(command.gripper, float)
@@ -122,21 +182,15 @@ class NativeEngine(Engine):
         """Runs `rows` of a share through one control step, in place."""
         for together in np.array_split(rows, -(-len(rows) // _TOGETHER) or 1):
             goal = controllers.goal(self.controller, target[together], state.rest[together])
+            goal = tuple(np.ascontiguousarray(x) for x in goal)
             share.load(together, state, afresh=False)
             self._substeps(share, together, goal)
             share.store(together, state)
 
     def _substeps(self, share: "_Share", rows: np.ndarray, goal: tuple[np.ndarray, ...]) -> None:
+        torques = TORQUES[self.controller]
         for _ in range(self.substeps):
-            try:
-                torque = controllers.torque(self.controller, share.read(rows), *goal)
-            except np.linalg.LinAlgError:
-                # MuJoCo puts a world that diverges to its zero pose, where the arm is singular.
-                sound = ~share.diverged(rows)
-                if sound.all():
-                    raise
-                rows, goal = rows[sound], tuple(x[sound] for x in goal)
-                torque = controllers.torque(self.controller, share.read(rows), *goal)
+            torque = share.control(torques, rows, goal)
             share.step(rows, np.clip(torque, *self._limits))
 
 
@@ -145,6 +199,8 @@ class _Share:
 
     def __init__(self, scene: Scene, count: int) -> None:
         model = self._model = scene.physics
+        # Two at least: slices of a single row have no gaps, for which Numba would compile anew.
+        count = max(count, 2)
         self._batch = batch = Batch(model, count, nthread=1, persistent=True)
         self._arm = slice(int(scene.arm[0]), int(scene.arm[-1]) + 1)
         self._fingers = scene.fingers
@@ -153,11 +209,16 @@ class _Share:
         # Live arrays, a row per world. What is computed is bound before the first computation.
         self._state = (batch.qpos, batch.qvel, batch.qacc_warmstart)
         self._ctrl = batch.ctrl
-        self._bias, self._mass = batch.qfrc_bias[:, self._arm], batch.M
-        self._position = batch.site_xpos[:, scene.grip_site]
-        self._rotation = batch.site_xmat[:, scene.grip_site].reshape(count, 3, 3)
-        self._motion = batch.cdof[:, self._arm]
-        self._origin = batch.subtree_com[:, model.body_rootid[model.site_bodyid[scene.grip_site]]]
+        self._sensed = Sensed(
+            q=batch.qpos[:, self._arm],
+            qd=batch.qvel[:, self._arm],
+            position=batch.site_xpos[:, scene.grip_site],
+            rotation=batch.site_xmat[:, scene.grip_site].reshape(count, 3, 3),
+            motion=batch.cdof[:, self._arm],
+            origin=batch.subtree_com[:, model.body_rootid[model.site_bodyid[scene.grip_site]]],
+            mass=batch.M,
+            bias=batch.qfrc_bias[:, self._arm],
+        )
 
     def resize(self, geoms: Sequence[int], sizes: np.ndarray) -> None:
         """Gives boxes new half-sizes, and their bodies the mass and inertia that follow."""
@@ -194,24 +255,17 @@ class _Share:
         if moved.any():
             self._batch.forward(rows[moved], stage=_VELOCITY)
 
-    def read(self, rows: np.ndarray) -> ArmState:
-        """What the controller needs of worlds, at the current substep."""
-        pick = self._pick(rows)
-        qpos, qvel, _ = self._state
-        position = self._position[pick]
-        return ArmState(
-            q=qpos[pick, self._arm],
-            qd=qvel[pick, self._arm],
-            position=position,
-            rotation=self._rotation[pick],
-            jacobian=_jacobian(self._motion[pick], position - self._origin[pick]),
-            mass=self._mass[pick].take(self._mass_at, axis=1),
-            bias=self._bias[pick],
-        )
+    def control(
+        self, torques: Callable[..., None], rows: np.ndarray, goal: tuple[np.ndarray, ...]
+    ) -> np.ndarray:
+        """Torques [n, 7] of worlds by a controller, at the current substep."""
+        out = np.empty((len(rows), self._arm.stop - self._arm.start))
+        torques(self._sensed, self._mass_at, rows, goal, out)
+        return out
 
     def step(self, rows: np.ndarray, torque: np.ndarray) -> None:
         """Advances worlds one substep."""
-        self._ctrl[self._pick(rows), self._arm] = torque
+        self._ctrl[rows, self._arm] = torque
         self._batch.step(rows, stage=_VELOCITY)
 
     def diverged(self, rows: np.ndarray) -> np.ndarray:
@@ -222,30 +276,6 @@ class _Share:
         """Writes where worlds are into a state."""
         for have, out in zip(self._state, (state.qpos, state.qvel, state.warmstart), strict=True):
             out[rows] = have[rows]
-        state.grip_position[rows] = self._position[rows]
-        state.grip_rotation[rows] = self._rotation[rows]
+        state.grip_position[rows] = self._sensed.position[rows]
+        state.grip_rotation[rows] = self._sensed.rotation[rows]
         state.ok[rows] = ~self.diverged(rows) & np.isfinite(state.qpos[rows]).all(-1)
-
-    def _pick(self, rows: np.ndarray) -> np.ndarray | slice:
-        """Index of worlds, ascending: neighbours need no copy."""
-        if len(rows) and rows[-1] - rows[0] == len(rows) - 1:
-            return slice(int(rows[0]), int(rows[-1]) + 1)
-        return rows
-
-
-def _jacobian(motion: np.ndarray, lever: np.ndarray) -> np.ndarray:
-    """Jacobian [n, 6, 7] of a point, translation above rotation.
-
-    Args:
-        motion: the joints' motions [n, 7, 6], rotation before translation, about an origin.
-        lever: the point from that origin (m) [n, 3].
-    """
-    axis, slide = motion[..., :3].swapaxes(1, 2), motion[..., 3:].swapaxes(1, 2)
-    x, y, z = lever[:, :1], lever[:, 1:2], lever[:, 2:]
-    jacobian = np.empty((len(motion), 6, motion.shape[1]))
-    jacobian[:, 0] = axis[:, 1] * z - axis[:, 2] * y
-    jacobian[:, 1] = axis[:, 2] * x - axis[:, 0] * z
-    jacobian[:, 2] = axis[:, 0] * y - axis[:, 1] * x
-    jacobian[:, :3] += slide
-    jacobian[:, 3:] = axis
-    return jacobian
