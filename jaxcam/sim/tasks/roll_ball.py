@@ -1,0 +1,103 @@
+"""Roll Ball: push a ball so that it rolls onto a round target out of reach."""
+
+from collections.abc import Iterator
+from typing import Any, ClassVar
+
+import numpy as np
+
+from jaxcam.rays import POSE_RANGES, PoseRanges
+from jaxcam.rotations import Array, array_namespace, matrix_from_rotvec
+from jaxcam.sim.engine import Start, State
+from jaxcam.sim.experts import CLOSE, Hand, pushing_grip
+from jaxcam.sim.maniskill.task import ManiSkillTask, SapienWorld
+from jaxcam.sim.task import Aim, Sight
+
+BALL = 0.035
+"""Radius of the ball (m), ManiSkill's."""
+ACROSS = (-0.4, 0.2)
+"""Range (m) of the x of ball and target."""
+FROM, TO = (0.5, 0.7), (-0.3, -0.1)
+"""Ranges (m) of the y of ball and target (authors' RollBallRand; the robot is at y = 1)."""
+RADIUS = 0.1
+"""Of the target (m)."""
+TARGET_HEIGHT = 1e-3
+"""Of the target above the table (m): it is thin, and seen."""
+FLAT = (np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0)
+"""Turns ManiSkill's target, a disc about x, to lie on the table."""
+UPRIGHT, LEAN = 0.36, 4.0
+"""Distance (m) from the robot's base at which the hand points straight down, and the angle (rad)
+per metre nearer by which its fingers point back at the robot: so they get behind a near ball."""
+BEHIND, HOVER, DOWN = 0.07, 0.14, 0.03
+"""Distance (m) from the ball's middle to the grip before pushing, and heights (m) of the grip on
+the way there and while it pushes."""
+AHEAD, THROUGH = 0.03, 0.2
+"""How far (m) before the ball the pushing hand aims, and how far beyond its start it goes."""
+NEAR = 0.08
+"""Distance (m) between ball and target at which the expert is content."""
+PATIENCE = 80
+"""Control steps for which it watches the ball roll."""
+
+
+class RollBall(ManiSkillTask):
+    """Roll Ball (paper, section IV-A; ManiSkill's `RollBall`, the authors' `RollBallRand`)."""
+
+    name: ClassVar[str] = "roll_ball"
+    env: ClassVar[str] = "JaxcamRollBall-v1"
+    horizon: ClassVar[int] = 150
+    views: ClassVar[int] = 2
+    stair: ClassVar[tuple[int, int]] = (4, 2)
+    cameras: ClassVar[PoseRanges] = POSE_RANGES["maniskill_roll_ball"]
+    fovy_deg: ClassVar[float] = 90.0
+    markers: ClassVar[tuple[str, ...]] = ("goal_region",)
+    base: ClassVar[tuple[float, float, float]] = (-0.1, 1.0, -np.pi / 2)
+
+    def objects(self) -> list[Any]:
+        """The ball, by ManiSkill's name."""
+        return ["ball"]
+
+    def place(self, scene: SapienWorld, rng: np.random.Generator, start: Start) -> None:
+        """The ball before the robot, the target at the table's other half."""
+        ball = scene.qpos_of("ball")
+        start.qpos[ball : ball + 3] = rng.uniform(*ACROSS), rng.uniform(*FROM), BALL
+        start.fixtures[2] = rng.uniform(*ACROSS), rng.uniform(*TO), TARGET_HEIGHT, *FLAT
+
+    def success(self, scene: SapienWorld, state: State, start: Start) -> Array:
+        """The ball's middle is over the target, rolling or not."""
+        ball = scene.qpos_of("ball")
+        aside = state.qpos[..., ball : ball + 2] - start.fixtures[..., 2, :2]
+        return array_namespace(state.qpos).sqrt((aside**2).sum(-1)) < RADIUS
+
+    def expert(self, scene: SapienWorld, sight: Sight) -> Iterator[Aim]:
+        """Behind the ball, down, push towards the target, and watch; fingers closed."""
+        at, base = scene.qpos_of("ball"), scene.world_from_base[:3, 3]
+        target = sight.start.fixtures[2, :2]
+        hand = Hand(sight)
+        first = sight.qpos[at : at + 2].copy()
+
+        def left() -> np.ndarray:
+            return target - sight.qpos[at : at + 2]
+
+        def along() -> np.ndarray:
+            return left() / np.linalg.norm(left())
+
+        def turned() -> np.ndarray:
+            way = np.array([*along(), 0.0])
+            near = max(0.0, UPRIGHT - float(np.linalg.norm((sight.grip_position - base)[:2])))
+            lean = matrix_from_rotvec(LEAN * near * np.cross(way, [0, 0, -1.0]))
+            return lean @ pushing_grip(way, sight.grip_rotation)
+
+        def behind(height: float) -> np.ndarray:
+            return np.array([*(sight.qpos[at : at + 2] - BEHIND * along()), height])
+
+        def ahead() -> np.ndarray:
+            point = sight.qpos[at : at + 2] + AHEAD * along()
+            over = max(0.0, float((point - first) @ along()) - THROUGH)
+            return np.array([*(point - over * along()), DOWN])
+
+        yield from hand.reach(lambda: behind(HOVER), CLOSE, tolerance=0.02, turn=turned, stray=0.06)
+        yield from hand.reach(lambda: behind(DOWN), CLOSE, tolerance=0.01, turn=turned)
+        yield from hand.reach(ahead, CLOSE, tolerance=0.04, turn=turned)
+        for _ in range(PATIENCE):
+            if np.linalg.norm(left()) < NEAR:
+                return
+            yield from hand.hold(CLOSE, steps=1)
