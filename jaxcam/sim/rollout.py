@@ -8,7 +8,7 @@ that are done or have failed stay as they are.
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -202,7 +202,8 @@ class _PolicyTurn:
             world_from_camera=inputs.world_from_camera[rows].reshape(-1, 4, 4),
         )
         if not on_host:
-            seen = draw.traced(view).reshape(shape)
+            compiled: Any = draw  # the painters of worlds that compiled engines step are, too
+            seen = compiled.traced(view).reshape(shape)
             return xp.where(active[:, None, None, None, None], seen, 0)
         pictures = np.zeros(shape, np.uint8)
         pictures[rows] = draw.rgb(view).reshape(len(rows), *shape[1:])

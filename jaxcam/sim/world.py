@@ -39,10 +39,6 @@ class Painter(Protocol):
         """Pictures, uint8 [B, H, W, 3], top row first."""
         ...
 
-    def traced(self, view: View) -> Any:
-        """`rgb` inside a compiled program; only of worlds that compiled engines step."""
-        ...
-
 
 @dataclass(frozen=True, kw_only=True)
 class World(ABC):

@@ -1,0 +1,87 @@
+"""Batched pictures of ManiSkill's worlds by SAPIEN's rasteriser, in child processes."""
+
+from importlib.metadata import version
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxcam.rays import sapien_from_opencv
+from jaxcam.sim.maniskill.memory import PIXELS, ROWS
+from jaxcam.sim.maniskill.pool import pool_of
+from jaxcam.sim.maniskill.task import SapienWorld
+from jaxcam.sim.maniskill.worker import SHADER
+from jaxcam.sim.world import View
+
+RGB_BYTES, LAYER_BYTES = 3, 11
+"""Bytes of a pixel: of its colour alone, and with depth and segment."""
+
+
+def look() -> str:
+    """What makes one painter's pictures differ from another's."""
+    return f"sapien{version('sapien')}-{SHADER}"
+
+
+class Layers(NamedTuple):
+    """Pictures and what is behind each pixel."""
+
+    rgb: np.ndarray
+    """uint8 [B, H, W, 3]."""
+    depth: np.ndarray
+    """Planar depth (m), to the millimetre; inf where nothing is hit [B, H, W]."""
+    segments: np.ndarray
+    """Numbers of what is hit [B, H, W]."""
+    names: list[str]
+    """Names of what is hit, by number: links of the robot and actors."""
+
+
+class SapienPainter:
+    """Draws batches of views of one world.
+
+    Args:
+        scene: the world.
+        height: of the pictures (pixels).
+        width: of the pictures (pixels); `height` when None.
+    """
+
+    def __init__(self, scene: SapienWorld, height: int, width: int | None = None) -> None:
+        self.scene, self.height, self.width = scene, height, width or height
+        self._pool = pool_of(scene)
+
+    def rgb(self, view: View) -> np.ndarray:
+        """Pictures, uint8 [B, H, W, 3], top row first."""
+        return self._draw(view, layers=False).rgb
+
+    def layers(self, view: View) -> Layers:
+        """Pictures, depths and segments."""
+        return self._draw(view, layers=True)
+
+    def _draw(self, view: View, *, layers: bool) -> Layers:
+        count, height, width = len(view.qpos), self.height, self.width
+        size, deep = (count, height, width), (count * layers, height, width)
+        found = Layers(
+            np.empty((*size, 3), np.uint8), np.empty(deep, np.float32), np.empty(deep, np.int32), []
+        )
+        room = PIXELS // ((LAYER_BYTES if layers else RGB_BYTES) * height * width)
+        room = max(1, min(ROWS, room))
+        cameras = np.asarray(sapien_from_opencv(np.asarray(view.world_from_camera, float)))
+        children = self._pool.children(count)
+        parts = np.array_split(np.arange(count), len(children))
+        for first in range(0, max(len(part) for part in parts), room):
+            shares = [
+                (child, part[first : first + room])
+                for child, part in zip(children, parts, strict=True)
+                if len(part) > first
+            ]
+            for child, rows in shares:
+                memory, n = child.memory, len(rows)
+                memory.qpos[:n], memory.fixtures[:n] = view.qpos[rows], view.fixtures[rows]
+                memory.K[:n], memory.camera[:n] = view.K[rows], cameras[rows]
+            names = self._pool.each(
+                [(child, ("draw", len(rows), height, width, layers)) for child, rows in shares]
+            )
+            for child, rows in shares:
+                drawn = child.memory.layers(len(rows), height, width)
+                for out, part in zip(found[:3] if layers else found[:1], drawn, strict=False):
+                    out[rows] = part
+            found = found._replace(names=names[0])
+        return found
