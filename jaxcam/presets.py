@@ -26,7 +26,7 @@ NAMES: dict[str, tuple[str, ...]] = {
     "precision": ("float32", "bfloat16"),
     "stem": ("keep", "new"),
     "split": ("test", "validation"),
-    "engine": ("auto", "native", "mjx-jax", "mjx-warp"),
+    "engine": ("auto", "native", "mjx-jax", "mjx-warp", "sapien"),
 }
 
 # What presets give unless they say otherwise.
