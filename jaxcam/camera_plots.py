@@ -33,35 +33,59 @@ def success_map(rows: Iterable[Row]) -> Figure:
     main, top = figure.add_subplot(layout[1, 0]), figure.add_subplot(layout[0, 0])
     side = figure.add_subplot(layout[1, 1])
     azimuth, elevation, rate, _ = cameras.T
-    across = _range(azimuth, -90, 90, 30)
-    up = _range(elevation, 30, 60, 10)
-    main.set(xlim=across[[0, -1]], ylim=up[[0, -1]], xticks=across, yticks=up)
+    across, up = angle_ticks(cameras)
     main.set(xlabel="camera azimuth (degrees)", ylabel="elevation (degrees)")
-    main.grid(False)
-    if len(cameras):
-        field = _smooth(cameras, across, up)
-        extent = (across[0], across[-1], up[0], up[-1])
-        main.imshow(
-            field, origin="lower", extent=extent, aspect="auto", cmap=RATE,
-            vmin=0, vmax=1, alpha=0.55, interpolation="bicubic",
-        )  # fmt: skip
-        won, lost = rate == 1, rate == 0
-        mixed = ~won & ~lost
-        for chosen, marker, size in ((won, "o", 36), (mixed, "D", 30)):
-            main.scatter(
-                azimuth[chosen], elevation[chosen], s=size, c=rate[chosen], marker=marker,
-                cmap=RATE, vmin=0, vmax=1, edgecolors="white", linewidths=0.8,
-                zorder=3, clip_on=False,
-            )  # fmt: skip
-        main.scatter(
-            azimuth[lost], elevation[lost], s=34, color=VERMILION, marker="x",
-            linewidths=1.9, zorder=3, clip_on=False,
-        )  # fmt: skip
+    mixed = draw_cameras(main, cameras, across, up)
     _binned(top, azimuth, rate, across, upright=False)
     _binned(side, elevation, rate, up, upright=True)
     top.set_title("Success by camera direction", pad=24)
-    _map_legend(figure, figure.add_subplot(layout[0, 1]), bool(np.any((rate > 0) & (rate < 1))))
+    _map_legend(figure, figure.add_subplot(layout[0, 1]), mixed)
     return figure
+
+
+def draw_cameras(
+    axes: Axes, cameras: np.ndarray, across: np.ndarray, up: np.ndarray, scale: float = 1.0
+) -> bool:
+    """Draw cameras by direction over a smoothed success rate.
+
+    Args:
+        axes: Where.
+        cameras: From `rate_by_camera`.
+        across: Ticks of the azimuth in degrees; the first and the last are the limits.
+        up: Ticks of the elevation.
+        scale: Of the markers' areas.
+
+    Returns:
+        Whether some cameras had successes and failures.
+    """
+    axes.set(xlim=across[[0, -1]], ylim=up[[0, -1]], xticks=across, yticks=up)
+    axes.grid(False)
+    if not len(cameras):
+        return False
+    azimuth, elevation, rate, _ = cameras.T
+    extent = (across[0], across[-1], up[0], up[-1])
+    axes.imshow(
+        _smooth(cameras, across, up), origin="lower", extent=extent, aspect="auto", cmap=RATE,
+        vmin=0, vmax=1, alpha=0.55, interpolation="bicubic",
+    )  # fmt: skip
+    won, lost = rate == 1, rate == 0
+    mixed = ~won & ~lost
+    for chosen, marker, size in ((won, "o", 36), (mixed, "D", 30)):
+        axes.scatter(
+            azimuth[chosen], elevation[chosen], s=scale * size, c=rate[chosen], marker=marker,
+            cmap=RATE, vmin=0, vmax=1, edgecolors="white", linewidths=0.8,
+            zorder=3, clip_on=False,
+        )  # fmt: skip
+    axes.scatter(
+        azimuth[lost], elevation[lost], s=scale * 34, color=VERMILION, marker="x",
+        linewidths=1.9 * scale**0.5, zorder=3, clip_on=False,
+    )  # fmt: skip
+    return bool(np.any(mixed))
+
+
+def angle_ticks(cameras: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Ticks of azimuth and elevation that cover the paper's range and all cameras."""
+    return _range(cameras[:, 0], -90, 90, 30), _range(cameras[:, 1], 30, 60, 10)
 
 
 @styled

@@ -46,9 +46,14 @@ def folded(title: str, content: str) -> str:
     return f'<details class="card"><summary>{escape(title)}</summary>{content}</details>'
 
 
-def notice(text: str) -> str:
+def text(words: str) -> str:
+    """A paragraph."""
+    return f'<p class="small">{escape(words)}</p>'
+
+
+def notice(words: str) -> str:
     """What a reader must not overlook."""
-    return f'<p class="notice">{escape(text)}</p>'
+    return f'<p class="notice">{escape(words)}</p>'
 
 
 def table(head: Iterable[str], body: Iterable[Sequence[Any]], rules: Iterable[int] = ()) -> str:
@@ -83,10 +88,13 @@ def link(text: str, href: str) -> Markup:
 
 def picture(file: Path, caption: str, *, wide: bool) -> str:
     """A PNG file, put into the page."""
-    data = base64.b64encode(file.read_bytes()).decode()
+    content = file.read_bytes()
+    pixels = int.from_bytes(content[16:20], "big")  # the width stands in a PNG's first chunk
+    data = base64.b64encode(content).decode()
     return (
         f"<figure{' class=wide' if wide else ''}>"
-        f'<img src="data:image/png;base64,{data}" alt="{escape(caption)}">'
+        f'<img src="data:image/png;base64,{data}" alt="{escape(caption)}" '
+        f'style="max-width:{min(pixels * 3 // 4, 980)}px">'
         f"<figcaption>{escape(caption)}</figcaption></figure>"
     )
 

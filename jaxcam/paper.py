@@ -18,6 +18,8 @@ TASKS = {
 POLICIES = {"act": "ACT", "diffusion": "DP", "smolvla": "SmolVLA"}
 CONDITIONING = {"act": "late", "diffusion": "early", "smolvla": "late"}
 """How each policy is told the camera pose in Table I."""
+ENCODINGS = ("token", "early", "late")
+"""The ways that the paper compares (its figure on encodings)."""
 
 # Success in percent by task, image only and with the camera pose.
 _TABLE = {
@@ -39,6 +41,16 @@ SAYS = {
     "cameras; with many cameras a small benefit of the pose remains.",
 }
 """What the paper finds where one setting varies, in our words (section V-A)."""
+
+
+def task_title(name: str) -> str:
+    """The paper's name of a task, or our own."""
+    return TASKS.get(name) or name
+
+
+def policy_title(name: str) -> str:
+    """The paper's name of a kind of policy, or our own."""
+    return POLICIES.get(name) or name
 
 
 def success(policy: str, task: str, conditioned: bool) -> float | None:

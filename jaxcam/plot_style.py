@@ -1,5 +1,6 @@
 """The look of all figures: one style, no pyplot, colours safe for colour blindness."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -76,3 +77,40 @@ def note(axes: Axes, text: str) -> None:
 def percent() -> FuncFormatter:
     """Tick labels of a fraction, such as "40 %"."""
     return FuncFormatter(lambda value, _: f"{100 * value:.0f} %")
+
+
+def interval(
+    axes: Axes, y: float, estimate: tuple[float, float, float], colour: str, *, hollow: bool = False
+) -> None:
+    """A point with its interval along x: value, low and high."""
+    value, low, high = estimate
+    axes.plot([low, high], [y, y], color=colour, linewidth=2.4, solid_capstyle="round")
+    face, edge = ("white", colour) if hollow else (colour, "white")
+    axes.plot(value, y, "o", color=face, markersize=7, markeredgecolor=edge)
+
+
+def beside(axes: Axes, y: float, text: str) -> None:
+    """Text in the right margin, at the height of one arm."""
+    axes.text(1.03, y, text, transform=axes.get_yaxis_transform(), va="center", fontsize=8.5)
+
+
+def rates_and_differences(left: Axes, right: Axes, names: Sequence[str]) -> None:
+    """The axes of two panels that share their lines: rates, and differences in points.
+
+    Args:
+        left: The panel of rates.
+        right: The panel of differences.
+        names: Of the lines, from the top.
+    """
+    left.set(xlim=(0, 1), ylim=(len(names) - 0.5, -0.5), xlabel="success, 95 % interval")
+    left.set_yticks(range(len(names)), names)
+    left.xaxis.set_major_formatter(percent())
+    right.axvline(0, color=INK, linewidth=1, zorder=1)
+    right.xaxis.set_major_formatter(
+        FuncFormatter(lambda value, _: f"{100 * value:+.0f}" if value else "0")
+    )
+    right.set_xlabel("points, paired, 95 % interval")
+    for axes in (left, right):
+        axes.grid(axis="y", visible=False)
+        axes.tick_params(axis="y", length=0)
+        axes.spines["left"].set_visible(False)

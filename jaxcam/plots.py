@@ -12,8 +12,20 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from jaxcam.camera_plots import camera_poses, rate_by_camera, ray_picture, success_map
-from jaxcam.plot_style import BLUE, GREY, INK, VERMILION, note, panels, percent, save, styled
-from jaxcam.stats import Row, by_field, paired_difference, success_rate
+from jaxcam.plot_style import (
+    BLUE,
+    GREY,
+    VERMILION,
+    beside,
+    interval,
+    note,
+    panels,
+    percent,
+    rates_and_differences,
+    save,
+    styled,
+)
+from jaxcam.stats import Row, by_field, p_text, paired_difference, success_rate
 
 __all__ = [
     "camera_poses",
@@ -114,34 +126,23 @@ def comparison(arms: Mapping[str, Sequence[Row]], baseline: str | None = None) -
     for y, name in enumerate(names):
         estimate = success_rate(arms[name])
         colour = GREY if name == baseline else BLUE
-        _interval(left, y, (estimate.value, estimate.low, estimate.high), colour)
+        interval(left, y, (estimate.value, estimate.low, estimate.high), colour)
         by_seed = by_field(arms[name], "seed")
         if len(by_seed) > 1:
             rates = [success_rate(of_seed).value for of_seed in by_seed.values()]
             left.plot(rates, [y + 0.22] * len(rates), "o", color=colour, markersize=3.5, alpha=0.6)
         text = f"{100 * estimate.value:.1f} %  n = {estimate.n}"
-        _beside(left, y, text if estimate.n else "no rollouts")
+        beside(left, y, text if estimate.n else "no rollouts")
         if name == baseline:
-            _beside(right, y, "baseline")
+            beside(right, y, "baseline")
             continue
         delta = paired_difference(arms[name], arms[baseline])
-        _interval(right, y, (delta.value, delta.low, delta.high), colour)
-        p_value = "p < 0.001" if delta.p_value < 0.001 else f"p = {delta.p_value:.3f}"
-        _beside(right, y, f"{100 * delta.value:+.1f}  {p_value}  {delta.pairs} pairs")
-    left.set(xlim=(0, 1), ylim=(len(names) - 0.5, -0.5), xlabel="success, 95 % interval")
-    left.set_yticks(range(len(names)), names)
+        interval(right, y, (delta.value, delta.low, delta.high), colour)
+        words = f"{100 * delta.value:+.1f}  p {p_text(delta.p_value)}  {delta.pairs} pairs"
+        beside(right, y, words)
     left.set_title("Success on held-out pairs")
-    left.xaxis.set_major_formatter(percent())
-    right.axvline(0, color=INK, linewidth=1, zorder=1)
-    right.xaxis.set_major_formatter(
-        FuncFormatter(lambda value, _: f"{100 * value:+.0f}" if value else "0")
-    )
     right.set_title(f"Difference to {baseline}")
-    right.set_xlabel("points, paired, 95 % interval")
-    for axes in (left, right):
-        axes.grid(axis="y", visible=False)
-        axes.tick_params(axis="y", length=0)
-        axes.spines["left"].set_visible(False)
+    rates_and_differences(left, right, names)
     return figure
 
 
@@ -185,14 +186,3 @@ def _step_axis(axes: Axes, last: float) -> None:
     axes.set_xlim(0, last * 1.04)
     axes.xaxis.set_major_locator(MaxNLocator(7, integer=True, steps=[1, 2, 2.5, 5, 10]))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
-
-
-def _interval(axes: Axes, y: float, estimate: tuple[float, float, float], colour: str) -> None:
-    value, low, high = estimate
-    axes.plot([low, high], [y, y], color=colour, linewidth=2.4, solid_capstyle="round")
-    axes.plot(value, y, "o", color=colour, markersize=7, markeredgecolor="white")
-
-
-def _beside(axes: Axes, y: float, text: str) -> None:
-    """Text in the right margin, at the height of one arm."""
-    axes.text(1.03, y, text, transform=axes.get_yaxis_transform(), va="center", fontsize=8.5)

@@ -112,7 +112,7 @@ class Arm:
         if self.settings.get("preset") is None:
             return "settings not recorded"
         changes = (f"{k} {plain(v)}" for k, v in self.changes.items() if k not in without)
-        return ", ".join([self.settings["preset"], *changes])
+        return ", ".join([f"{self.settings['preset']} preset", *changes])
 
 
 def plain(value: Any) -> str:
@@ -235,7 +235,7 @@ def _read_results(folder: Path, rows: Sequence[Row]) -> list[Run]:
         shared = {k: record["settings"].get(k) for k in ("task", "scene", "policy", "conditioning",
                                                          "engine", "ensemble")}  # fmt: skip
         shared |= {"seed": record["seed"], "run": record["name"]}
-        some = [{**row, **shared} for row in by_run.get(record["run"], [])]
+        some: list[Row] = [{**row, **shared} for row in by_run.get(record["run"], [])]
         runs.append(Run(record["name"], None, record["settings"], record["seed"], some,
                         record["seconds"]))  # fmt: skip
     return runs

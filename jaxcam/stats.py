@@ -74,7 +74,7 @@ class Difference:
         if not self.pairs:
             return f"no shared pairs ({self.unpaired} unpaired, {self.excluded} excluded)"
         value, low, high = (100 * x for x in (self.value, self.low, self.high))
-        notes = [f"p {_p_text(self.p_value)}", f"{self.pairs} pairs"]
+        notes = [f"p {p_text(self.p_value)}", f"{self.pairs} pairs"]
         notes += [f"{self.unpaired} unpaired"] if self.unpaired else []
         notes += [f"{self.excluded} excluded"] if self.excluded else []
         return f"{value:+.1f} points [{low:+.1f}, {high:+.1f}] ({', '.join(notes)})"
@@ -242,6 +242,6 @@ def _sign_flip_p(deltas: np.ndarray) -> float:
     return (1 + as_large) / (1 + _RESAMPLES)
 
 
-def _p_text(p_value: float) -> str:
-    """A p-value as people write it."""
+def p_text(p_value: float) -> str:
+    """A p-value as people write it, with its sign of comparison."""
     return "< 0.001" if p_value < 0.001 else f"= {p_value:.3f}"
