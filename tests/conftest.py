@@ -1,4 +1,6 @@
-"""Shared fixtures: Lift's scenes, and a tiny dataset collected once per session."""
+"""Shared fixtures: Lift's scenes, a tiny dataset collected once per session, and ManiSkill."""
+
+import os
 
 import pytest
 
@@ -55,3 +57,17 @@ def frames(demos):
     from jaxcam.frames import load_frames
 
     return load_frames(demos, PIXELS)
+
+
+@pytest.fixture(scope="session")
+def maniskill():
+    """For tests that run ManiSkill: they are skipped where it cannot be run, but not in CI."""
+    from jaxcam.errors import SimError
+    from jaxcam.sim.maniskill.machine import require
+
+    try:
+        require()
+    except SimError as error:
+        if os.environ.get("JAXCAM_MANISKILL"):
+            raise
+        pytest.skip(str(error))
