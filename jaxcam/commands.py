@@ -1,4 +1,4 @@
-"""Settings of the commands that work on many runs. Nothing here imports JAX, so help is fast."""
+"""Settings of the commands around training: report and check. Without JAX, so help is fast."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -22,3 +22,14 @@ class ReportConfig:
     def __post_init__(self) -> None:
         check_types(self)
         check_names(self)
+
+
+@dataclass(frozen=True)
+class CheckConfig:
+    """Check what training and evaluation rest on."""
+
+    env: bool = False
+    """Check this machine: packages, accelerator, Vulkan device, ManiSkill."""
+
+    def __post_init__(self) -> None:
+        check_types(self)
