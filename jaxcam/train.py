@@ -5,7 +5,6 @@ Whatever exists is used; whatever was interrupted goes on when the same command 
 
 import dataclasses
 import functools
-import json
 import logging
 import shlex
 import sys
@@ -96,14 +95,14 @@ def _dataset(config: TrainConfig, console: "Console | None") -> "Dataset":
     from jaxcam.frames import load_frames
     from jaxcam.sim import make_task
 
+    task = make_task(config.task)
+    task.require()  # hours may pass until the evaluation needs its simulator
     if config.dataset:
         demos = read_demos(Path(config.dataset), task=config.task, scene=config.scene)
     else:
         demos = collect(collect_config(config), console)
     frames = load_frames(demos, config.resolution, console)
-    return make_dataset(
-        demos, frames, config.action_space, make_task(config.task).scene(config.scene)
-    )
+    return make_dataset(demos, frames, config.action_space, task.scene(config.scene))
 
 
 def _policy(config: TrainConfig, dataset: "Dataset") -> "Policy":
@@ -125,15 +124,12 @@ def _policy(config: TrainConfig, dataset: "Dataset") -> "Policy":
 def _weights(config: TrainConfig, run: "RunDir") -> "Weights | None":
     """The weights a new run starts from, which are recorded; None without, or when resuming."""
     from jaxcam.checkpoint import checkpoint_steps
-    from jaxcam.rundir import write_atomically
-    from jaxcam.weights import read_weights
+    from jaxcam.weights import read_weights, record_weights
 
     if not config.weights or checkpoint_steps(run.path):
         return None
     weights = read_weights(config.weights)
-    kind = weights.kind.title if weights.kind else None
-    record = {"file": config.weights, "kind": kind, "sha256": weights.sha256}
-    write_atomically(run.path / "weights.json", json.dumps(record, indent=2) + "\n")
+    record_weights(run.path, weights)
     return weights
 
 

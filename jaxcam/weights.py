@@ -1,4 +1,4 @@
-"""`python -m jaxcam.weights`: weights from elsewhere, looked at and loaded.
+"""`python -m jaxcam.weights`: weights from elsewhere, looked at and loaded, and ours for LeRobot.
 
 Files are `.safetensors`, or PyTorch's `.pt` and `.pth`, read without PyTorch. What a file is, its
 names tell. Loading is strict: every parameter that the file's kind covers must be in it with its
@@ -6,21 +6,24 @@ shape, and everything in it must have a place here, or be known to have none.
 """
 
 import hashlib
+import json
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from jaxcam.errors import CheckpointError, run_main
-from jaxcam.fields import check_types, cli
+from jaxcam.config import TrainConfig
+from jaxcam.errors import CheckpointError, ConfigError, run_main
+from jaxcam.fields import check_names, check_types, cli, default, one_of
 from jaxcam.models.names import MAPS, NameMap, recognise
 from jaxcam.models.policy import Params
+from jaxcam.rundir import write_atomically
 from jaxcam.torch_files import read_torch
 
 SHOWN = 5
@@ -29,14 +32,30 @@ SHOWN = 5
 
 @dataclass(frozen=True)
 class WeightsConfig:
-    """Look at a file of weights: what it is, and its arrays."""
+    """Look at a file of weights, or carry a policy to or from a LeRobot checkpoint."""
 
-    file: tyro.conf.Positional[str]
-    """A .safetensors, .pt or .pth file."""
+    source: tyro.conf.Positional[str]
+    """A .safetensors, .pt or .pth file to look at; or a folder: of a run, with --export, or of a
+    LeRobot checkpoint, with --run-dir."""
+    export: str = ""
+    """Folder to write the run's policy to, as a LeRobot checkpoint."""
+    step: Annotated[int | None, tyro.conf.arg(metavar="INT"), default("newest whole one")] = None
+    """The run's checkpoint to export."""
+    run_dir: str = ""
+    """Folder of a run to make of the LeRobot checkpoint, for `python -m jaxcam.evaluate`."""
+    task: Annotated[str, one_of("task")] = TrainConfig.task
+    """What that policy was trained to do."""
+    scene: Annotated[str, one_of("scene")] = TrainConfig.scene
+    """In which scene."""
+    action_space: Annotated[str, one_of("action_space")] = TrainConfig.action_space
+    """What its actions mean."""
 
     def __post_init__(self) -> None:
-        """Refuse values of other types."""
+        """Refuse values of other types, unknown names, and both ways at once."""
         check_types(self)
+        check_names(self)
+        if self.export and self.run_dir:
+            raise ConfigError("Give --export or --run-dir, not both.")
 
 
 @dataclass(frozen=True)
@@ -62,6 +81,11 @@ def read_weights(path: str | Path) -> Weights:
         CheckpointError: There is no such file, or it is not whole or not of these kinds.
     """
     path = Path(path)
+    if path.is_dir():
+        raise CheckpointError(
+            f"{path} is a folder. Of a run, write a LeRobot checkpoint with --export FOLDER; of a "
+            "LeRobot checkpoint, look at its model.safetensors or make a run with --run-dir FOLDER."
+        )
     if not path.is_file():
         raise CheckpointError(f"There is no file {path}.")
     arrays = _read_safetensors(path) if path.suffix == ".safetensors" else read_torch(path)
@@ -82,6 +106,13 @@ def _read_safetensors(path: Path) -> dict[str, np.ndarray]:
             return {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except SafetensorError as error:
         raise CheckpointError(f"{path} is not a whole .safetensors file: {error}.") from error
+
+
+def record_weights(folder: Path, weights: Weights) -> None:
+    """Write down, in a run's folder, what weights it started from."""
+    kind = weights.kind.title if weights.kind else None
+    record = {"file": str(weights.path), "kind": kind, "sha256": weights.sha256}
+    write_atomically(folder / "weights.json", json.dumps(record, indent=2) + "\n")
 
 
 def load(weights: Weights, params: Mapping[str, Any], *, new_stem: bool = False) -> dict[str, Any]:
@@ -139,6 +170,22 @@ def load(weights: Weights, params: Mapping[str, Any], *, new_stem: bool = False)
     return filled
 
 
+def to_torch(params: Params, kind: NameMap) -> dict[str, np.ndarray]:
+    """Parameters in PyTorch's layout, by the names that a kind of file gives them; others' are out.
+
+    Linear layers stay such, and batch norms have statistics that leave their scale as it is.
+    """
+    arrays = {}
+    for path, leaf in jax.tree_util.tree_flatten_with_path(params)[0]:
+        keys = tuple(step.key for step in path)
+        if (name := kind.theirs(keys)) is not None:
+            array = np.asarray(leaf, np.float32)
+            is_kernel, ndim = keys[-1] == "kernel", array.ndim
+            turned = (*reversed(range(ndim - 2, ndim)), *range(ndim - 2)) if is_kernel else None
+            arrays[name] = array.transpose(turned) if is_kernel else array
+    return _unfold_batch_norms(arrays)
+
+
 def load_after(
     init: Callable[[jax.Array], Params], weights: Weights, new_stem: bool
 ) -> Callable[[jax.Array], Params]:
@@ -171,6 +218,23 @@ def _fold_batch_norms(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
             folded[norm + "frozen_scale"] = scale
             folded[norm + "frozen_bias"] = bias - mean * scale
     return folded
+
+
+def _unfold_batch_norms(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The reverse of `_fold_batch_norms`: a mean of 0, and a variance that becomes 1."""
+    unfolded = {}
+    for name, array in arrays.items():
+        norm, _, part = name.rpartition(".")
+        if part == "frozen_scale":
+            var = np.full_like(array, np.float32(1) - np.float32(1e-5))
+            unfolded |= {
+                f"{norm}.weight": array,
+                f"{norm}.running_mean": np.zeros_like(array),
+                f"{norm}.running_var": var,
+            }
+        else:
+            unfolded[f"{norm}.bias" if part == "frozen_bias" else name] = array
+    return unfolded
 
 
 def _as_linear(array: np.ndarray, ndim: int) -> np.ndarray:
@@ -226,7 +290,20 @@ def show(weights: Weights) -> None:
 
 def main() -> None:
     """The command line."""
-    show(read_weights(cli(WeightsConfig, prog="python -m jaxcam.weights").file))
+    config = cli(WeightsConfig, prog="python -m jaxcam.weights")
+    if not (config.export or config.run_dir):
+        show(read_weights(config.source))
+        return
+    from jaxcam import lerobot_policy
+    from jaxcam.checkpoint import load_policy_inputs
+
+    if config.export:
+        lerobot_policy.export(load_policy_inputs(config.source, config.step), Path(config.export))
+        print(f"{config.export}: a LeRobot {lerobot_policy.VERSION} checkpoint.")
+        return
+    names = {k: getattr(config, k) for k in ("task", "scene", "action_space", "run_dir")}
+    lerobot_policy.adopt(Path(config.source), TrainConfig(**names))
+    print(f"{config.run_dir}: a run. Next: python -m jaxcam.evaluate {config.run_dir}")
 
 
 if __name__ == "__main__":

@@ -261,6 +261,12 @@ def middle_and_half(stats: Stats, name: str, least: float) -> tuple[np.ndarray, 
     return (low + high) / 2, np.maximum((high - low) / 2, np.float32(least))
 
 
+def proprio_middle_and_half(stats: Stats) -> tuple[np.ndarray, np.ndarray]:
+    """Those of proprioception; what never varied is not blown up by a first value that does."""
+    middle, half = middle_and_half(stats, "proprio", 1e-6)
+    return middle, np.where(half < 1e-3, 1, half).astype(np.float32)
+
+
 def make_diffusion(config: DiffusionConfig, spec: PolicySpec, stats: Stats) -> Policy:
     """Make Diffusion Policy's three functions; statistics become constants of them."""
     check_sizes(config.chunk, spec, stats)
@@ -269,9 +275,7 @@ def make_diffusion(config: DiffusionConfig, spec: PolicySpec, stats: Stats) -> P
             f"A crop of {config.crop} pixels does not fit in {spec.height}x{spec.width}."
         )
     middle, half = middle_and_half(stats, "action", 1e-6)
-    proprio_middle, proprio_half = middle_and_half(stats, "proprio", 1e-6)
-    # What never varied in training is not blown up by a first value that does.
-    proprio_half = np.where(proprio_half < 1e-3, 1, proprio_half).astype(np.float32)
+    proprio_middle, proprio_half = proprio_middle_and_half(stats)
     init, network = pure(lambda rngs: Diffusion(config, spec, rngs=rngs))
     chunk = (config.chunk, spec.action_dim)
 

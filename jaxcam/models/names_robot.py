@@ -117,6 +117,20 @@ def prepare_act(arrays: Arrays) -> Arrays:
     return ready
 
 
+def restore_act(arrays: Arrays) -> Arrays:
+    """The reverse of `prepare_act`."""
+    theirs: Arrays = {}
+    for name, array in arrays.items():
+        if found := re.fullmatch(r"(.*)\.q_proj\.(weight|bias)", name):
+            parts = [arrays[f"{found[1]}.{part}_proj.{found[2]}"] for part in "qkv"]
+            theirs[f"{found[1]}.in_proj_{found[2]}"] = np.concatenate(parts)
+        elif name.split(".")[0] == "encoder_1d_feature_pos_embed":
+            theirs[name] = array[::-1]
+        elif not re.search(r"\.[kv]_proj\.", name):
+            theirs[name] = array
+    return theirs
+
+
 def lerobot_diffusion(path: Path) -> str | None:
     """LeRobot's name for a part of Diffusion Policy, without the leading `diffusion.`.
 
@@ -181,3 +195,10 @@ def prepare_diffusion(arrays: Arrays) -> Arrays:
         return re.sub(r"\.blocks\.([01])\.block", lambda m: f".conv{int(m[1]) + 1}.block", name)
 
     return {rename(name): array for name, array in arrays.items()}
+
+
+def restore_diffusion(arrays: Arrays) -> Arrays:
+    """The reverse of `prepare_diffusion`, in LeRobot's names: one encoder alone has no number."""
+    if any(name.startswith("rgb_encoder.1.") for name in arrays):
+        return arrays
+    return {name.replace("rgb_encoder.0.", "rgb_encoder."): x for name, x in arrays.items()}
