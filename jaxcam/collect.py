@@ -30,7 +30,7 @@ FIRST_SEED = 42
 """Start of the demonstrations' episode seeds (authors' generators)."""
 SEED_STRIDE, SEEDS = 10_000_000, 900_000
 """Distance between the episode seeds of two datasets, and how many each has: none ever reaches
-those of the evaluation's pairs (`jaxcam.evaluate.SPLITS`)."""
+those of the evaluation's pairs (`jaxcam.pairs.SPLITS`)."""
 TRAIN_CAMERAS = 1
 """Seed of the training cameras: with robosuite's ranges, the authors' released set."""
 VALIDATION_CAMERAS = 3

@@ -5,7 +5,51 @@ from typing import Annotated
 
 import tyro
 
-from jaxcam.fields import check_names, check_types, one_of
+from jaxcam.errors import ConfigError
+from jaxcam.fields import check_least, check_names, check_types, default, one_of
+
+
+@dataclass(frozen=True)
+class EvaluateConfig:
+    """Evaluate runs on held-out initial states and camera poses; what has a row is not run again.
+
+    The same command run again goes on with what is missing.
+    """
+
+    run: tyro.conf.Positional[tuple[str, ...]]
+    """Folders of runs."""
+    protocol: Annotated[str, one_of("protocol")] = "one"
+    """one is a single checkpoint; paper is the last 10 checkpoints on 50 pairs each (3 seeds are 3
+    runs)."""
+    step: Annotated[int | None, tyro.conf.arg(metavar="INT"), default("newest whole one")] = None
+    """Checkpoint to evaluate."""
+    pairs: int = 50
+    """(Initial state, camera pose) pairs."""
+    split: Annotated[str, one_of("split")] = "test"
+    """Which pairs: those kept for results, or those for choosing settings."""
+    width: int = 50
+    """Rollouts simulated at once; rows of different widths are not mixed."""
+    engine: Annotated[str, one_of("engine")] = "auto"
+    """Physics; auto is mjx-warp on an accelerator and native without. Rows of different engines are
+    not mixed."""
+    ensemble: Annotated[float | None, tyro.conf.arg(metavar="FLOAT"), default("as in training")] = (
+        None
+    )
+    """Rate of temporal ensembling, 0 is off. Rows of different rates are not mixed."""
+    videos: int = 16
+    """Rollouts shown in each of two videos, of the first pairs and of failures; 0 is none."""
+
+    def __post_init__(self) -> None:
+        check_types(self)
+        check_names(self)
+        check_least(self, 1, "pairs width")
+        check_least(self, 0, "step videos")
+        check_least(self, -1, "ensemble")
+        if not self.run:
+            raise ConfigError("No run is given. Name one run folder or several.")
+        if self.protocol == "paper" and (self.step is not None or self.pairs != 50):
+            raise ConfigError("protocol paper has its own checkpoints and 50 pairs: leave out "
+                              "--step and --pairs.")  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -147,38 +147,6 @@ class TrainConfig:
 
 
 @dataclass(frozen=True)
-class EvaluateConfig:
-    """Evaluate a run's checkpoint on held-out initial states and camera poses."""
-
-    run: tyro.conf.Positional[str]
-    """Folder of the run."""
-    step: Annotated[int | None, tyro.conf.arg(metavar="INT"), default("newest whole one")] = None
-    """Checkpoint to evaluate."""
-    pairs: int = 50
-    """(Initial state, camera pose) pairs."""
-    split: Annotated[str, one_of("split")] = "test"
-    """Which pairs: those kept for results, or those for choosing settings."""
-    width: int = 50
-    """Rollouts simulated at once; rows of different widths are not mixed."""
-    engine: Annotated[str, one_of("engine")] = "auto"
-    """Physics; auto is mjx-warp on an accelerator and native without. Rows of different engines are
-    not mixed."""
-    ensemble: Annotated[float | None, tyro.conf.arg(metavar="FLOAT"), default("as in training")] = (
-        None
-    )
-    """Rate of temporal ensembling, 0 is off. Rows of different rates are not mixed."""
-    videos: int = 16
-    """Rollouts shown in the video; 0 is none."""
-
-    def __post_init__(self) -> None:
-        check_types(self)
-        check_names(self)
-        check_least(self, 1, "pairs width")
-        check_least(self, 0, "step videos")
-        check_least(self, -1, "ensemble")
-
-
-@dataclass(frozen=True)
 class CollectConfig:
     """Collect demonstrations of the scripted expert: states, commands and camera poses."""
 

@@ -26,6 +26,7 @@ NAMES: dict[str, tuple[str, ...]] = {
     "precision": ("float32", "bfloat16"),
     "stem": ("keep", "new"),
     "split": ("test", "validation"),
+    "protocol": ("one", "paper"),
     "engine": ("auto", "native", "mjx-jax", "mjx-warp", "sapien"),
 }
 

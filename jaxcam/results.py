@@ -16,14 +16,13 @@ from jaxcam.errors import ConfigError
 from jaxcam.fields import from_json
 from jaxcam.protocol import Protocol, counted, lacks, protocol_of
 from jaxcam.rundir import append_jsonl, read_jsonl, write_atomically
-from jaxcam.stats import Estimate, Row, latest_rows, success_rate
+from jaxcam.stats import USUAL, Estimate, Row, latest_rows, success_rate
 
 Settings = dict[str, Any]
 
 # Of the settings that leave training as it was, these say what was trained on and how the
 # policy was run; seeds and calls differ between runs that are compared as one.
 _NO_IDENTITY = (FREE_TO_CHANGE | {"seed", "steps_per_call"}) - {"dataset", "engine", "ensemble"}
-_USUAL: Settings = {"engine": "native", "ensemble": 0.0}
 _NAMED = ("task", "scene", "policy", "preset", "conditioning")
 _KEPT = ("step", "split", "pair", "pair_sha", "success", "status", "steps", "azimuth_deg",
          "elevation_deg", "distance", "renderer", "width")  # fmt: skip
@@ -130,7 +129,8 @@ def read_runs(paths: Iterable[str | Path], split: str = "test") -> list[Run]:
         split: Which pairs: "test" or "validation".
 
     Raises:
-        ConfigError: A folder has no run, or two runs of the same settings and seed disagree.
+        ConfigError: A folder has no run, two runs of the same settings and seed disagree, or a pair
+            of one run is not the pair of that number in another.
     """
     runs: dict[str, Run] = {}
     for path in map(Path, paths):
@@ -144,6 +144,7 @@ def read_runs(paths: Iterable[str | Path], split: str = "test") -> list[Run]:
             for run in _read(folder, split):
                 key = json.dumps([run.settings, run.seed], sort_keys=True)
                 runs[key] = _merge(runs[key], run) if key in runs else run
+    _check_pairs(runs.values())
     return list(runs.values())
 
 
@@ -269,6 +270,24 @@ def _merge(one: Run, other: Run) -> Run:
     return replace(one if one.folder else other, rows=list(known.values()))
 
 
+def _check_pairs(runs: Iterable[Run]) -> None:
+    """Refuses runs that were evaluated on different pairs; older rows have no hash of theirs."""
+    first: dict[tuple[Any, ...], tuple[str, Run]] = {}
+    for run in runs:
+        s = run.settings
+        for row in run.rows:
+            if (sha := row.get("pair_sha")) is None:
+                continue
+            key = (s["task"], s["scene"], s.get("views"), _split(row), row["pair"])
+            known, other = first.setdefault(key, (sha, run))
+            if known != sha:
+                raise ConfigError(
+                    f"{other.folder or other.name} and {run.folder or run.name} were evaluated on "
+                    f"different pairs of the same number ({row['pair']}: {known} and {sha}), so "
+                    "they cannot be compared. Evaluate both with one version."
+                )
+
+
 def _identity(config: TrainConfig) -> Settings:
     """The settings that runs of one arm share, as JSON has them."""
     values = {k: v for k, v in asdict(config).items() if k not in _NO_IDENTITY}
@@ -280,13 +299,13 @@ def _identity(config: TrainConfig) -> Settings:
 @functools.lru_cache
 def _usual(task: str, scene: str, policy: str, preset: str, conditioning: str) -> Settings:
     named = dict(zip(_NAMED, (task, scene, policy, preset, conditioning), strict=True))
-    return _identity(resolve(TrainConfig(**named), accelerator=False)) | _USUAL
+    return _identity(resolve(TrainConfig(**named), accelerator=False)) | USUAL
 
 
 def _ways(rows: Iterable[Row]) -> Settings:
     """How the policy was run."""
-    found = {k: sorted({(_USUAL | dict(r))[k] for r in rows}) for k in _USUAL}
-    return {k: _USUAL[k] if not v else v[0] if len(v) == 1 else v for k, v in found.items()}
+    found = {k: sorted({(USUAL | dict(r))[k] for r in rows}) for k in USUAL}
+    return {k: USUAL[k] if not v else v[0] if len(v) == 1 else v for k, v in found.items()}
 
 
 def _kind_of_weights(folder: Path, name: str) -> str:

@@ -14,6 +14,8 @@ import numpy as np
 
 Row = Mapping[str, Any]
 
+USUAL: dict[str, Any] = {"engine": "native", "ensemble": 0.0}
+"""What rows lack that were written before there was a choice."""
 LEVEL = 0.95
 _Z = 1.959963984540054  # normal quantile of the two-sided 95 % interval
 _RESAMPLES = 10_000
@@ -166,7 +168,7 @@ def latest_rows(rows: Iterable[Row]) -> list[Row]:
     latest: dict[tuple[Any, ...], dict[Any, Row]] = {}
     for row in rows:
         evaluation = tuple(row.get(name) for name in names)
-        way = row.get("engine", "native"), row.get("width"), row.get("ensemble", 0.0)
+        way = row.get("width"), *(row.get(name, value) for name, value in USUAL.items())
         if ways.get(evaluation) != way:
             ways[evaluation], latest[evaluation] = way, {}
         latest[evaluation][row.get("pair")] = row

@@ -10,7 +10,7 @@ from jaxcam import collect as collect_module
 from jaxcam.collect import FIRST_SEED, collect, dataset_path, episode_seeds, run_expert
 from jaxcam.config import CollectConfig
 from jaxcam.errors import SimError
-from jaxcam.evaluate import SPLITS
+from jaxcam.pairs import SPLITS
 from jaxcam.sim.experts import STEP
 from jaxcam.sim.native import NativeEngine
 

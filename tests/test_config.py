@@ -7,10 +7,10 @@ import time
 
 import pytest
 
+from jaxcam.commands import EvaluateConfig
 from jaxcam.config import (
     FREE_TO_CHANGE,
     CollectConfig,
-    EvaluateConfig,
     TrainConfig,
     differences,
     resolve,
@@ -110,14 +110,14 @@ def test_other_commands_are_validated_too():
     with pytest.raises(ConfigError, match="did you mean 'lift'"):
         CollectConfig(task="lifts")
     with pytest.raises(ConfigError, match="did you mean 'validation'"):
-        EvaluateConfig("run", split="valid")
+        EvaluateConfig(("run",), split="valid")
     with pytest.raises(ConfigError, match="width must be at least 1"):
-        EvaluateConfig("run", width=0)
+        EvaluateConfig(("run",), width=0)
 
 
 @pytest.mark.parametrize("config", [
     TrainConfig(), LAPTOP, PAPER, TrainConfig(lr=0.1 + 0.2, model=("width=8", "depth=2")),
-    EvaluateConfig("a/b", step=3), CollectConfig(demos=1),
+    EvaluateConfig(("a/b",), step=3), CollectConfig(demos=1),
 ])  # fmt: skip
 def test_json_round_trip_is_exact(config):
     assert from_json(type(config), to_json(config)) == config
@@ -186,7 +186,7 @@ def test_flags():
         scene="fixed", conditioning="late", action_space="joint_abs", views=2, seed=3,
         preset="paper", model=("width=8", "layers=2"), lr=1e-4,
     )  # fmt: skip
-    assert cli(EvaluateConfig, ["runs/a", "--pairs", "4"]) == EvaluateConfig("runs/a", pairs=4)
+    assert cli(EvaluateConfig, ["runs/a", "--pairs", "4"]) == EvaluateConfig(("runs/a",), pairs=4)
     assert cli(TrainConfig, []) == TrainConfig()
 
 
