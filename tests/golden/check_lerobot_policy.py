@@ -124,12 +124,7 @@ def check(folder: Path) -> None:
                 policy._queues["action"].clear() if kind == "diffusion" else policy.reset()
             found.append(after(policy.select_action(before(seen), **noise)).numpy())
         error = np.abs(np.stack(found) - given["actions"]).max() / np.abs(given["actions"]).max()
-        arrays = len(policy.state_dict())
-        about = json.loads((folder / name / "jaxcam.json").read_text())
-        print(
-            f"{name}: {arrays} arrays, relative error {error:.1e}, {about['action_space']}",
-            flush=True,
-        )
+        print(f"{name}: {len(policy.state_dict())} arrays, relative error {error:.1e}", flush=True)
         assert error < TOLERANCE, error
 
 
