@@ -31,6 +31,9 @@ LEVEL, LEAN = 0.58, 1.0
 which it leans away per metre beyond."""
 FAR, STRETCH = 0.72, 3.0
 """Distance (m) beyond which it leans by so much (rad/m) more, or the elbow would be straight."""
+CLOSE_BY, SLANT = 0.36, 4.0
+"""Distance (m) within which its fingers point back at the robot by so much (rad/m) more, or the
+wrist would be at the end of its range."""
 INSIDE, SLOPE = 0.012, 4.0
 """Of a funnel: distance to the side (m) within which a hand goes all the way down, and the height
 of the wall over the distance from there."""
@@ -145,13 +148,17 @@ class Hand:
         return float(np.linalg.norm(rotvec_from_matrix(goal @ self._sight.grip_rotation.T)))
 
 
-def pushing_grip(along: np.ndarray, like: np.ndarray) -> np.ndarray:
+def pushing_grip(
+    base: np.ndarray, at: np.ndarray, along: np.ndarray, like: np.ndarray
+) -> np.ndarray:
     """Grip axes [3, 3] of a hand that points down and whose closed fingers push broadside.
 
-    Its fingers close (along the y axis) across the direction; of the two ways, the one that is
-    turned less.
+    Its fingers close (along the y axis, as ManiSkill's do) across the direction; of the two ways,
+    the one that is turned less. Near to the robot the hand leans towards it, far off away.
 
     Args:
+        base: position of the robot's base (m) [3].
+        at: where the grip is (m) [3].
         along: horizontal direction [2] or [3] to push in.
         like: grip axes [3, 3] to be near to.
     """
@@ -160,4 +167,8 @@ def pushing_grip(along: np.ndarray, like: np.ndarray) -> np.ndarray:
     if across @ like[:, 1] < 0:
         across = -across
     down = np.array([0.0, 0.0, -1.0])
-    return np.stack([np.cross(across, down), across, down], -1)
+    upright = np.stack([np.cross(across, down), across, down], -1)
+    out = np.array([*(at - base)[:2], 0.0])
+    distance = float(np.linalg.norm(out))
+    lean = STRETCH * max(0.0, distance - FAR) - SLANT * max(0.0, CLOSE_BY - distance)
+    return matrix_from_rotvec(lean * np.cross(down, out / distance)) @ upright

@@ -71,7 +71,7 @@ class LiftUpright(ManiSkillTask):
         near = _x_axis(sight.qpos[at + 3 : at + 7])
         if near @ (base - sight.qpos[at : at + 3]) < 0:
             near = -near
-        flat = pushing_grip(near, sight.grip_rotation)
+        flat = pushing_grip(base, sight.qpos[at : at + 3], near, sight.grip_rotation)
         turned = matrix_from_rotvec(np.cross([0, 0, -1], near) * TILT) @ flat
 
         def over(height: float) -> np.ndarray:

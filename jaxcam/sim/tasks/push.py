@@ -72,7 +72,10 @@ class Push(ManiSkillTask):
         hand = Hand(sight)
         along = target - sight.qpos[cube]
         along = along / np.linalg.norm(along)
-        turned = pushing_grip(along, sight.grip_rotation)
+        base = scene.world_from_base[:3, 3]
+
+        def turned() -> np.ndarray:
+            return pushing_grip(base, sight.grip_position, along, sight.grip_rotation)
 
         def behind(height: float) -> np.ndarray:
             return np.array([*(sight.qpos[cube] - BEHIND * along), height])
@@ -81,8 +84,6 @@ class Push(ManiSkillTask):
             left = target - sight.qpos[cube]
             return np.array([*(target - TOUCH * left / max(np.linalg.norm(left), 1e-6)), DOWN])
 
-        yield from hand.reach(
-            lambda: behind(HOVER), CLOSE, tolerance=0.02, turn=lambda: turned, stray=0.06
-        )
-        yield from hand.reach(lambda: behind(DOWN), CLOSE, tolerance=0.01, turn=lambda: turned)
-        yield from hand.reach(onwards, CLOSE, tolerance=0.02, turn=lambda: turned)
+        yield from hand.reach(lambda: behind(HOVER), CLOSE, tolerance=0.02, turn=turned, stray=0.06)
+        yield from hand.reach(lambda: behind(DOWN), CLOSE, tolerance=0.01, turn=turned)
+        yield from hand.reach(onwards, CLOSE, tolerance=0.02, turn=turned)

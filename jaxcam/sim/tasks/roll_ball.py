@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from jaxcam.rays import POSE_RANGES, PoseRanges
-from jaxcam.rotations import Array, array_namespace, matrix_from_rotvec
+from jaxcam.rotations import Array, array_namespace
 from jaxcam.sim.engine import Start, State
 from jaxcam.sim.experts import CLOSE, Hand, pushing_grip
 from jaxcam.sim.maniskill.task import ManiSkillTask, SapienWorld
@@ -24,9 +24,6 @@ TARGET_HEIGHT = 1e-3
 """Of the target above the table (m): it is thin, and seen."""
 FLAT = (np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0)
 """Turns ManiSkill's target, a disc about x, to lie on the table."""
-UPRIGHT, LEAN = 0.36, 4.0
-"""Distance (m) from the robot's base at which the hand points straight down, and the angle (rad)
-per metre nearer by which its fingers point back at the robot: so they get behind a near ball."""
 BEHIND, HOVER, DOWN = 0.07, 0.14, 0.03
 """Distance (m) from the ball's middle to the grip before pushing, and heights (m) of the grip on
 the way there and while it pushes."""
@@ -81,10 +78,7 @@ class RollBall(ManiSkillTask):
             return left() / np.linalg.norm(left())
 
         def turned() -> np.ndarray:
-            way = np.array([*along(), 0.0])
-            near = max(0.0, UPRIGHT - float(np.linalg.norm((sight.grip_position - base)[:2])))
-            lean = matrix_from_rotvec(LEAN * near * np.cross(way, [0, 0, -1.0]))
-            return lean @ pushing_grip(way, sight.grip_rotation)
+            return pushing_grip(base, sight.grip_position, along(), sight.grip_rotation)
 
         def behind(height: float) -> np.ndarray:
             return np.array([*(sight.qpos[at : at + 2] - BEHIND * along()), height])
