@@ -11,6 +11,7 @@ and `manifest`, whose `side` holds what is needed to rebuild the policy and to j
 import dataclasses
 import json
 import logging
+import re
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -43,6 +44,9 @@ from jaxcam.state import TrainState
 
 CONVENTION = 1
 """Number of the ray, camera and action conventions that the weights were trained with."""
+
+MASKED = "opt/inner_state/"
+"""What names of the optimizer's state begin with."""
 
 SPACE_FACTOR = 1.5
 """Free space asked for, as a multiple of a checkpoint's size."""
@@ -329,6 +333,9 @@ def _check_side(where: str, side: Mapping[str, Any], expect: Mapping[str, Any]) 
 
 def _fill(where: str, template: TrainState, leaves: Mapping[str, np.ndarray]) -> TrainState:
     """The template's structure with the checkpoint's arrays."""
+    if not any(name.startswith(MASKED) for name in leaves):
+        # Runs older than the mask that frozen parameters need lack its level of names.
+        leaves = {re.sub("^opt/", MASKED, name): leaf for name, leaf in leaves.items()}
     paths, structure = jax.tree_util.tree_flatten_with_path(template)
     wanted = {leaf_name(path): f"{leaf.dtype} {tuple(leaf.shape)}" for path, leaf in paths}
     found = {name: f"{leaf.dtype} {leaf.shape}" for name, leaf in leaves.items()}

@@ -29,7 +29,7 @@ ROOT = jax.random.key(0)
 # Orbax reads arrays side by side and closes its event loop at the first that fails; the others
 # then complain from threads of their own.
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-TX = optax.adamw(1e-2)
+TX = optax.masked(optax.adamw(1e-2), True)
 STATS = {"action_mean": np.array([0.1, 1 / 3, -2e-9], np.float32), "n": np.int64(7)}
 
 
@@ -105,6 +105,17 @@ def test_six_steps_equal_three_saved_restored_and_three(run):
     assert int(restored.state.step) == 3
     assert_same(restored.state, train(fresh(), 3))
     assert_same(train(restored.state, 6), train(fresh(), 6))
+
+
+def test_a_run_whose_optimizer_had_no_mask_goes_on(tmp_path):
+    old = init_state(init, optax.adamw(1e-2), ROOT, ema=True)
+    old = dataclasses.replace(old, step=jnp.int32(3), opt=jax.tree.map(lambda x: x + 1, old.opt))
+    with Checkpoints(tmp_path / "checkpoints") as checkpoints:
+        checkpoints.save(old, SIDE)
+        restored = checkpoints.restore_latest(template()).state
+    assert_same(restored.opt.inner_state, old.opt)
+    assert_same(restored.params, old.params)
+    assert int(train(restored, 4).step) == 4
 
 
 def test_side_comes_back_exactly(run):
