@@ -77,3 +77,26 @@ class CheckConfig:
 
     def __post_init__(self) -> None:
         check_types(self)
+
+
+@dataclass(frozen=True)
+class SweepConfig:
+    """Train and evaluate all runs of a grid; what is done is skipped, what was stopped goes on."""
+
+    grid: tyro.conf.Positional[str]
+    """YAML file; grids/ has one for every table and figure of the paper."""
+    jobs: int = 1
+    """Runs at once."""
+    cluster: Annotated[str, one_of("cluster")] = "none"
+    """Where runs go: none is this machine; slurm goes through submitit (extra `sweep`), and local
+    does so on this machine, to try it."""
+    retries: int = 3
+    """Times that a run is started again that was killed or preempted."""
+    list: bool = False
+    """Print the runs, how far they are and their commands, and start nothing."""
+
+    def __post_init__(self) -> None:
+        check_types(self)
+        check_names(self)
+        check_least(self, 1, "jobs")
+        check_least(self, 0, "retries")

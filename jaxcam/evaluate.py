@@ -9,7 +9,6 @@ from jaxcam.fields import cli
 if __name__ == "__main__":
     cli(EvaluateConfig)  # --help and bad flags are answered before the slow imports
 
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -26,14 +25,11 @@ from jaxcam.models import Policy, rebuild_policy
 from jaxcam.pairs import store_pairs
 from jaxcam.plots import write_plots
 from jaxcam.progress import progress
-from jaxcam.protocol import protocol_of
+from jaxcam.protocol import missing, protocol_of
 from jaxcam.rundir import append_jsonl, read_jsonl
 from jaxcam.sim.rollout import Rollouts
 from jaxcam.stats import USUAL, Estimate, latest_rows, success_rate
 from jaxcam.video import grid, write_video
-
-ATTEMPTS = 2
-"""Times that a pair is run whose rollout ends in an error of the physics or the policy."""
 
 
 def evaluate(
@@ -73,9 +69,7 @@ def evaluate(
         return _rows_of(file, evaluator, step, split, pairs)
 
     def to_run() -> list[int]:
-        tries = Counter(r["pair"] for r in rows_so_far())
-        done = {r["pair"] for r in rows_so_far() if r["status"] == "ok"}
-        return [p for p in range(pairs) if p not in done and tries[p] < ATTEMPTS]
+        return missing(rows_so_far(), pairs)
 
     horizon = evaluator.task.horizon
     with exclusive(file, console):
@@ -149,7 +143,10 @@ def evaluate_run(config: EvaluateConfig, folder: Path, console: Console) -> None
     )  # fmt: skip
     policy = rebuild_policy(inputs)
     evaluator = Evaluator(inputs.config, config.width, config.engine, config.ensemble)
+    file = folder / "eval" / "rows.jsonl"
     for i, step in enumerate(steps):
+        if not missing(_rows_of(file, evaluator, step, config.split, config.pairs), config.pairs):
+            continue
         try:
             if step != inputs.step:
                 inputs = load_policy_inputs(folder, step)
@@ -169,7 +166,7 @@ def evaluate_run(config: EvaluateConfig, folder: Path, console: Console) -> None
         )
     rows = [
         r
-        for r in latest_rows(read_jsonl(folder / "eval" / "rows.jsonl"))
+        for r in latest_rows(read_jsonl(file))
         if r["step"] in steps and r["split"] == config.split and r["pair"] < config.pairs
     ]
     write_plots(folder / "plots", read_jsonl(folder / "metrics.jsonl"), rows)

@@ -27,6 +27,7 @@ NAMES: dict[str, tuple[str, ...]] = {
     "stem": ("keep", "new"),
     "split": ("test", "validation"),
     "protocol": ("one", "paper"),
+    "cluster": ("none", "slurm", "local"),
     "engine": ("auto", "native", "mjx-jax", "mjx-warp", "sapien"),
 }
 

@@ -1,9 +1,13 @@
 """How much is evaluated: the paper's 3 seeds x last 10 checkpoints x 50 pairs, and what counts."""
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from jaxcam.stats import Row, by_field, is_finished
+
+ATTEMPTS = 2
+"""Times that a pair is run whose rollout ends in an error of the physics or the policy."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +70,18 @@ def counted(rows: Sequence[Row], protocol: Protocol) -> list[Row]:
     if len(newest) == 1:
         return list(by_step[newest[0]])
     return [row for step in newest for row in by_step[step] if row["pair"] < protocol.pairs]
+
+
+def missing(rows: Sequence[Row], pairs: int) -> list[int]:
+    """The pairs of a checkpoint that are to be run: those without an outcome, and not too often.
+
+    Args:
+        rows: Evaluation rows of the checkpoint.
+        pairs: How many pairs there are.
+    """
+    tries = Counter(row["pair"] for row in rows)
+    done = {row["pair"] for row in rows if row["status"] == "ok"}
+    return [p for p in range(pairs) if p not in done and tries[p] < ATTEMPTS]
 
 
 def lacks(runs: Iterable[Sequence[Row]], protocol: Protocol, last: int | None) -> list[str]:

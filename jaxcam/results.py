@@ -91,8 +91,7 @@ class Arm:
         """The settings in which it is not what its policy's preset and its task give."""
         if self.settings.get("preset") is None:
             return {}
-        usual = _usual(*(self.settings[name] for name in _NAMED))
-        return {k: v for k, v in self.settings.items() if v is not None and v != usual[k]}
+        return changes(self.settings)
 
     def count(self) -> str:
         """Rollouts, and how many the protocol asks for where it lacks any."""
@@ -154,6 +153,34 @@ def group(runs: Iterable[Run]) -> list[Arm]:
     for run in runs:
         arms.setdefault(json.dumps(run.settings, sort_keys=True), []).append(run)
     return [Arm(tuple(sorted(some, key=lambda r: r.seed or 0))) for some in arms.values()]
+
+
+def identity(config: TrainConfig) -> Settings:
+    """The settings that runs of one arm share, as JSON has them.
+
+    Args:
+        config: Resolved settings of a run.
+    """
+    values = {k: v for k, v in asdict(config).items() if k not in _NO_IDENTITY}
+    values["model"] = list(config.model)
+    values["dataset"] = Path(config.dataset).stem
+    values["weights"] = Path(config.weights).stem
+    return values
+
+
+def changes(settings: Settings) -> Settings:
+    """The settings that are not what their policy's preset and their task give.
+
+    Args:
+        settings: From `identity`.
+    """
+    named = tuple(settings[name] for name in _NAMED)
+    usual, so_long = _usual(*named), _usual(*named, steps=settings["steps"])
+    # What follows from the number of updates, such as the warm-up, is no change of its own.
+    return {
+        k: v for k, v in settings.items()
+        if v is not None and v != usual[k] and (k == "steps" or v != so_long[k])
+    }  # fmt: skip
 
 
 def write_results(folder: Path, runs: Sequence[Run]) -> None:
@@ -219,7 +246,7 @@ def _read_run(folder: Path, split: str) -> Run:
     rows = [
         r for r in latest_rows(read_jsonl(folder / "eval" / "rows.jsonl")) if _split(r) == split
     ]
-    settings = _identity(config) | _ways(rows)
+    settings = identity(config) | _ways(rows)
     if config.weights:
         settings["weights"] = _kind_of_weights(folder, config.weights)
     seconds = training_seconds(read_jsonl(folder / "metrics.jsonl"))
@@ -288,18 +315,10 @@ def _check_pairs(runs: Iterable[Run]) -> None:
                 )
 
 
-def _identity(config: TrainConfig) -> Settings:
-    """The settings that runs of one arm share, as JSON has them."""
-    values = {k: v for k, v in asdict(config).items() if k not in _NO_IDENTITY}
-    values["model"] = list(config.model)
-    values["dataset"] = Path(config.dataset).stem
-    return values
-
-
 @functools.lru_cache
-def _usual(task: str, scene: str, policy: str, preset: str, conditioning: str) -> Settings:
-    named = dict(zip(_NAMED, (task, scene, policy, preset, conditioning), strict=True))
-    return _identity(resolve(TrainConfig(**named), accelerator=False)) | USUAL
+def _usual(*named: str, steps: int | None = None) -> Settings:
+    config = TrainConfig(**dict(zip(_NAMED, named, strict=True)), steps=steps)  # pyright: ignore
+    return identity(resolve(config, accelerator=False)) | USUAL
 
 
 def _ways(rows: Iterable[Row]) -> Settings:

@@ -20,6 +20,8 @@ _OF_TASK = ("n", "m", "views", "steps")
 
 def context(arm: Arm, *without: str) -> str:
     """The settings of an arm but some, to find the arms that differ in these alone."""
+    if "conditioning" in without:
+        without = (*without, "stem")  # says how one way of conditioning is built
     kept = {k: v for k, v in arm.settings.items() if k not in without}
     return json.dumps(kept, sort_keys=True)
 

@@ -5,9 +5,9 @@ import pytest
 
 from jaxcam.config import TrainConfig
 from jaxcam.errors import CheckpointError, DatasetError
-from jaxcam.evaluate import ATTEMPTS, _steps, evaluate
+from jaxcam.evaluate import _steps, evaluate
 from jaxcam.pairs import Pairs, make_pairs, store_pairs
-from jaxcam.protocol import Protocol, counted, lacks, protocol_of
+from jaxcam.protocol import ATTEMPTS, Protocol, counted, lacks, protocol_of
 from jaxcam.rundir import append_jsonl, read_jsonl
 from jaxcam.sim.rollout import Rollouts
 from jaxcam.sim.task import Start
