@@ -10,7 +10,7 @@ from jaxcam.errors import ConfigError, SimError
 from jaxcam.frames import intrinsics
 from jaxcam.rays import sample_poses
 from jaxcam.rotations import array_namespace, rotvec_from_matrix
-from jaxcam.sim import engine_name, make_engine
+from jaxcam.sim import engine_name, make_engine, mjx
 from jaxcam.sim.engine import Command, OpenLoop, Start
 from jaxcam.sim.mjx import MjxEngine
 from jaxcam.sim.mjx_model import check_pairs
@@ -181,11 +181,23 @@ def test_a_policy_in_the_loop_is_one_program(lift, scene, renderer, start, warp)
     assert mjx.steps.tolist() == native.steps.tolist()
 
 
+def test_room_for_contacts_grows_until_none_is_lost(lift, scene, start, warp, caplog):
+    narrow = MjxEngine(scene, "joint_position", lift.varied, contacts=3)
+    states = []
+    for engine in (narrow, warp["joint_position"]):
+        state = engine.reset(start)
+        command = Command(np.asarray(state.qpos[:, scene.arm]), -np.ones(WORLDS))
+        states.append(engine.step(state, command))
+    assert "goes on with 6" in caplog.text
+    np.testing.assert_allclose(states[0].qpos, states[1].qpos, atol=1e-6)
+
+
 @pytest.mark.parametrize("name", ["contacts", "rows"])
-def test_lost_contacts_are_an_error_that_names_the_limit(lift, scene, start, name):
+def test_lost_contacts_are_an_error_when_there_was_much_room(lift, scene, start, name, monkeypatch):
+    monkeypatch.setitem(mjx._MOST, name, 1)
     engine = MjxEngine(scene, "joint_position", lift.varied, **{name: 1})
     state = engine.reset(start)
-    with pytest.raises(SimError, match=f"Raise `{name}`"):
+    with pytest.raises(SimError, match=f"room for 1 {name} a world"):
         engine.step(state, Command(np.asarray(state.qpos[:, scene.arm]), -np.ones(WORLDS)))
 
 

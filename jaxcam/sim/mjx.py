@@ -5,8 +5,9 @@ it also runs where Warp does not (TPU), but it refuses some pairs of geoms. Both
 """
 
 import functools
+import logging
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -43,7 +44,11 @@ from jaxcam.sim.mjx_model import (
 from jaxcam.sim.scene import Scene
 
 Impl = Literal["jax", "warp"]
+T = TypeVar("T")
 
+_LOG = logging.getLogger(__name__)
+_MOST = {"contacts": 512, "rows": 2048}
+"""Room a world that no sound scene needs."""
 _OVERFLOWS = {
     1 << 0: "rows",  # more constraint rows in a world than njmax
     1 << 1: "rows",  # njmax_nnz, which follows from njmax
@@ -72,8 +77,9 @@ class MjxEngine(Engine):
             geom with mass of its free body, which must be a box of uniform density.
         impl: `warp` or `jax`.
         contacts: room for contacts, per world on average over the batch (`warp`); when None, two
-            for each pair of geoms that may meet, at most 64.
+            for each pair of geoms that may meet, at most 44.
         rows: room for constraint rows in each world (`warp`); when None, four for each contact.
+            Where either does not suffice, it is doubled, and what was computed is computed again.
 
     Raises:
         ConfigError: if MJX-JAX cannot collide two of the scene's geoms.
@@ -97,8 +103,8 @@ class MjxEngine(Engine):
         model = filtered(scene.physics)
         if impl == "jax":
             check_pairs(model)
-        # Time goes with the room: twice the rows cost a third of the speed.
-        room = contacts or min(64, 2 * pair_count(model) + 2)
+        # Time goes with the room. The most that demonstrations need is 40 (Square).
+        room = contacts or min(44, 2 * pair_count(model) + 2)
         self._room = {"contacts": room, "rows": rows or 4 * room}
         self._host_model = model
         self._body = int(model.site_bodyid[scene.grip_site])
@@ -107,13 +113,18 @@ class MjxEngine(Engine):
             self._model = self._model.tree_replace({"opt._impl.warn_overflow": 0})
         self._bare = self._model if impl == "jax" else mjx.put_model(bare(model), impl="warp")
         self._mass_at = full_from_sparse(model)[np.ix_(scene.arm, scene.arm)]
-        self._scratch = functools.cache(self._make_scratch)
         self._overflow = 0
+        self._jit()
+
+    def _jit(self) -> None:
+        """Makes the programs, for the room there is."""
+        self._scratch = functools.cache(self._make_scratch)
         on_cpu = jax.default_backend() == "cpu"
         jit = functools.partial(jax.jit, compiler_options=_CPU_OPTIONS if on_cpu else None)
+        # Functions of their own: those of other rooms are known by theirs.
         self._jit_begin = jit(lambda start: (self._state(start), self._bodies(start)))
-        self._jit_advance = jit(self._advance)
-        self._jit_run = jit(self._run, static_argnums=(0, 1, 2))
+        self._jit_advance = jit(lambda *now: self._advance(*now))
+        self._jit_run = jit(lambda *all: self._run(*all), static_argnums=(0, 1, 2))
 
     def reset(self, start: Start) -> State:
         """Puts a batch of worlds at their starts; see `Engine.reset`."""
@@ -124,12 +135,10 @@ class MjxEngine(Engine):
         """Advances the worlds one control step; see `Engine.step`.
 
         Raises:
-            SimError: if contacts were lost for want of room.
+            SimError: if contacts were lost for want of room, however much there was.
         """
         run = jnp.ones(len(state.ok), bool) if active is None else active
-        state = jax.block_until_ready(self._jit_advance(self._now, state, command, run))
-        self.check_room()
-        return state
+        return self._roomy(lambda: self._jit_advance(self._now, state, command, run))
 
     def run(
         self,
@@ -146,12 +155,12 @@ class MjxEngine(Engine):
         It is compiled once for a `turn`, a `success` and the arrays' shapes.
 
         Raises:
-            SimError: if contacts were lost for want of room.
+            SimError: if contacts were lost for want of room, however much there was.
         """
-        self._tick = tick
-        ran = self._jit_run(turn, success, horizon, inputs, start, alive)
-        progress, trace = jax.block_until_ready(ran)
-        self.check_room()
+        self._tick, self._ticks_left = tick, horizon
+        progress, trace = self._roomy(
+            lambda: self._jit_run(turn, success, horizon, inputs, start, alive)
+        )
         return progress, trace[: min(int(progress.taken), horizon) + 1]
 
     def lower(
@@ -204,23 +213,34 @@ class MjxEngine(Engine):
         return jax.lax.scan(one, progress, in_time)
 
     def _count(self, steps: np.ndarray) -> None:
-        for _ in range(int(steps)):
+        # What is computed again has been counted.
+        for _ in range(min(int(steps), self._ticks_left)):
             self._tick()
+        self._ticks_left -= min(int(steps), self._ticks_left)
 
-    def check_room(self) -> None:
-        """Raises an error if contacts were lost for want of room since the last call.
+    def _roomy(self, compute: Callable[[], T]) -> T:
+        """What `compute` gives, once no contacts are lost for want of room."""
+        while True:
+            result = jax.block_until_ready(compute())
+            jax.effects_barrier()
+            bits, self._overflow = self._overflow, 0
+            short = {name for bit, name in _OVERFLOWS.items() if bits & bit}
+            if not short:
+                return result
+            for name in sorted(short):
+                self._double(name)
+            self._jit()
 
-        Raises:
-            SimError: which names the limit to raise.
-        """
-        jax.effects_barrier()
-        bits, self._overflow = self._overflow, 0
-        for name in sorted({name for bit, name in _OVERFLOWS.items() if bits & bit}):
+    def _double(self, name: str) -> None:
+        """Doubles the room for `name`, `contacts` or `rows`."""
+        told = f"MJX-Warp had room for {self._room[name]} {name} a world, and lost contacts."
+        self._room[name] *= 2
+        if self._room[name] > _MOST[name]:
             raise SimError(
-                f"MJX-Warp had room for {self._room[name]} {name} a world, the scene "
-                f"{self.scene.name!r} needed more, and contacts were lost. Raise `{name}` of "
-                "MjxEngine."
+                f"{told} The scene {self.scene.name!r} needs more than {_MOST[name]}: look at the "
+                "physics, or choose --engine native."
             )
+        _LOG.warning("%s It goes on with %d, from where that was.", told, self._room[name])
 
     def _state(self, start: Start) -> State:
         qpos = jnp.asarray(start.qpos, jnp.float32)
@@ -352,7 +372,7 @@ class MjxEngine(Engine):
             return _Scratch(full, mjx.make_data(self._host_model, impl="warp", naconmax=1, njmax=1))
 
     def _report(self, overflow: jax.Array) -> None:
-        """Tells the host of lost contacts, for `check_room`."""
+        """Tells the host of lost contacts, for `_roomy`."""
         bits = jax.lax.reduce(overflow & sum(_OVERFLOWS), 0, jax.lax.bitwise_or, (0,))
         told = functools.partial(jax.debug.callback, self._remember)
         jax.lax.cond(bits != 0, told, lambda _: None, bits)
