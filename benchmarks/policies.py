@@ -25,6 +25,7 @@ import numpy as np
 
 from jaxcam.config import TrainConfig, resolve
 from jaxcam.models import FAMILIES, Policy, PolicySpec, make_policy
+from jaxcam.models.policy import blank_stats
 from jaxcam.state import init_state, make_optimizer, make_train_chunk
 
 OBSERVATIONS = 50
@@ -38,11 +39,7 @@ def make(kind: str, preset: str, **changes: Any) -> tuple[Policy, TrainConfig]:
     settings = replace(FAMILIES[kind].presets[preset], **changes)
     size = config.resolution
     spec = PolicySpec(ACTION, PROPRIO, 1, size, size, settings.chunk, settings.obs_steps)
-    stats = {}
-    for name, count in (("action", ACTION), ("proprio", PROPRIO), ("keyframe", 3)):
-        for kind_, value in (("mean", 0), ("std", 1), ("min", -1), ("max", 1)):
-            stats[f"{name}_{kind_}"] = np.full(count, value, np.float32)
-    return make_policy(settings, spec, stats), config
+    return make_policy(settings, spec, blank_stats(spec)), config
 
 
 def make_batch(policy: Policy, count: int) -> dict[str, np.ndarray]:

@@ -36,7 +36,7 @@ from jaxcam.models.names import MAPS
 from jaxcam.models.names_robot import Arrays
 from jaxcam.models.transformer import sine_table
 from jaxcam.rundir import RunDir
-from jaxcam.sim import make_task
+from jaxcam.sim.world import PROPRIO_DIM
 from jaxcam.state import init_state, make_optimizer
 from jaxcam.weights import load, read_weights, record_weights, to_torch
 
@@ -209,11 +209,9 @@ def adopt(folder: Path, config: TrainConfig) -> None:
 
 def _check_fit(folder: Path, config: TrainConfig, spec: PolicySpec) -> None:
     """Refuses sizes that are not the task's."""
-    scene = make_task(config.task).scene(config.scene)
-    proprio = scene.proprio(np.zeros((1, scene.nq)), np.zeros((1, 3))).shape[-1]
     for what, found, wanted in (
         ("actions of", spec.action_dim, action_dim(config.action_space)),
-        ("a state of", spec.proprio_dim, proprio),
+        ("a state of", spec.proprio_dim, PROPRIO_DIM),
         ("images as high as wide:", spec.height, spec.width),
     ):
         if found != wanted:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from jaxcam.data import Dataset
-    from jaxcam.models import Policy
+    from jaxcam.models import Policy, Stats
     from jaxcam.rundir import Interrupt, RunDir
     from jaxcam.state import TrainState
     from jaxcam.weights import Weights
@@ -40,13 +40,16 @@ def train(config: TrainConfig, console: "Console | None" = None) -> int:
         The process's exit code: 0, or 130 or 143 when a signal stopped it after saving.
     """
     from jaxcam.rundir import RunDir, interrupts
+    from jaxcam.weights import record_weights
 
     config = resolve(_like_its_dataset(config))
+    weights = _checked_weights(config)  # what cannot work is told before anything is made
     with RunDir.open(config) as run:
         try:
-            weights = _weights(config, run)
+            if weights:
+                record_weights(run.path, weights)
             dataset = _dataset(config, console)
-            policy = _policy(config, dataset)
+            policy = _policy(config, dataset.stats())
             with interrupts() as stop:  # only here is there something to save
                 state = _fit(config, run, dataset, policy, weights, stop, console)
             if stop:
@@ -105,31 +108,45 @@ def _dataset(config: TrainConfig, console: "Console | None") -> "Dataset":
     return make_dataset(demos, frames, config.action_space, task.scene(config.scene))
 
 
-def _policy(config: TrainConfig, dataset: "Dataset") -> "Policy":
+def _policy(config: TrainConfig, stats: "Stats | None" = None) -> "Policy":
+    """The policy that is trained; without statistics, one of the same shapes."""
+    from jaxcam.actions import action_dim
     from jaxcam.models import PolicySpec, make_policy, policy_settings
+    from jaxcam.models.policy import blank_stats
+    from jaxcam.sim.world import PROPRIO_DIM
 
     settings = policy_settings(config)
     spec = PolicySpec(
-        action_dim=dataset.actions.shape[-1],
-        proprio_dim=dataset.proprio.shape[-1],
+        action_dim=action_dim(config.action_space),
+        proprio_dim=PROPRIO_DIM,
         views=config.views,
         height=config.resolution,
         width=config.resolution,
         chunk=settings.chunk,
         obs_steps=settings.obs_steps,
     )
-    return make_policy(settings, spec, dataset.stats())
+    return make_policy(settings, spec, stats or blank_stats(spec))
 
 
-def _weights(config: TrainConfig, run: "RunDir") -> "Weights | None":
-    """The weights a new run starts from, which are recorded; None without, or when resuming."""
+def _checked_weights(config: TrainConfig) -> "Weights | None":
+    """The weights a new run starts from; None without, or when resuming.
+
+    Raises:
+        ConfigError: The policy cannot be built.
+        CheckpointError: The weights are not its.
+    """
+    import jax
+    import numpy as np
+
     from jaxcam.checkpoint import checkpoint_steps
-    from jaxcam.weights import read_weights, record_weights
+    from jaxcam.weights import load, read_weights
 
-    if not config.weights or checkpoint_steps(run.path):
+    policy = _policy(config)
+    if not config.weights or checkpoint_steps(config.run_dir):
         return None
     weights = read_weights(config.weights)
-    record_weights(run.path, weights)
+    shapes = jax.eval_shape(policy.init, jax.random.key(0))
+    load(weights, jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes))
     return weights
 
 

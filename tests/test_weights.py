@@ -2,7 +2,6 @@
 
 import json
 import pickle
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,16 +11,16 @@ import pytest
 from policy_inputs import make_stats, shapes
 
 from jaxcam.config import TrainConfig, resolve
-from jaxcam.errors import CheckpointError
+from jaxcam.errors import CheckpointError, ConfigError
 from jaxcam.models import ACT_PRESETS, PolicySpec, make_policy
 from jaxcam.models.fusion import with_conditioning
 from jaxcam.models.names import MAPS, recognise
 from jaxcam.models.smolvla import SMOLVLA_PRESETS
-from jaxcam.rundir import RunDir
 from jaxcam.torch_files import read_torch
-from jaxcam.train import _weights
-from jaxcam.weights import Weights, load, read_weights, show
+from jaxcam.train import _checked_weights, train
+from jaxcam.weights import Weights, load, read_weights, record_weights, show
 
+LONG = f"tokens={(1,) * 49}"
 FILES = Path(__file__).parent / "golden"
 SMOLVLA = {m.title: m for m in MAPS}["SmolVLA (LeRobot)"]
 
@@ -246,15 +245,31 @@ def test_vision_language_model_leaves_the_expert_alone():
     assert not any(np.any(x) for x in jax.tree.leaves(loaded["expert"]))
 
 
-def test_run_records_the_weights_it_starts_from(tmp_path):
-    file = tmp_path / "resnet.pth"
-    shutil.copy(FILES / "weights.pth", file)
-    config = TrainConfig(preset="laptop", weights=str(file))
-    resolved = resolve(config, accelerator=False)
-    assert "-resnet-" in resolved.run_dir
-    with RunDir.open(replace(resolved, run_dir=str(tmp_path / "run"))) as run:
-        weights = _weights(resolved, run)
-        record = json.loads((run.path / "weights.json").read_text())
-        assert record == {"file": str(file), "kind": None, "sha256": weights.sha256}
-        (run.checkpoints / "1").mkdir(parents=True)
-        assert _weights(resolved, run) is None
+def test_what_cannot_be_trained_is_told_before_anything_is_made(tmp_path):
+    folders = {"data_dir": str(tmp_path / "data"), "run_dir": str(tmp_path / "run")}
+    with pytest.raises(CheckpointError, match="unknown kind"):
+        train(TrainConfig(preset="laptop", weights=str(FILES / "weights.pth"), **folders))
+    with pytest.raises(ConfigError, match="multiples of 4"):
+        train(TrainConfig(preset="laptop", resolution=85, **folders))
+    with pytest.raises(ConfigError, match="takes 48"):
+        train(
+            TrainConfig(policy="smolvla", preset="tiny", model=(f"tokens={(1,) * 49}",), **folders)
+        )
+    assert not list(tmp_path.iterdir())
+
+
+def test_weights_that_fit_are_recorded_and_only_read_for_a_new_run(tmp_path):
+    numpy = pytest.importorskip("safetensors.numpy")
+    file = tmp_path / "resnet.safetensors"
+    numpy.save_file(resnet(), file)
+    network = ("width=16", "encoder_width=16", "heads=2", "hidden=16", "layers=1", "chunk=4")
+    config = TrainConfig(preset="lerobot", resolution=64, model=network, weights=str(file))
+    config = resolve(config, accelerator=False)
+    assert "-resnet-" in config.run_dir
+    config = replace(config, run_dir=str(tmp_path))
+    weights = _checked_weights(config)
+    record_weights(tmp_path, weights)
+    record = json.loads((tmp_path / "weights.json").read_text())
+    assert record == {"file": str(file), "kind": weights.kind.title, "sha256": weights.sha256}
+    (tmp_path / "checkpoints/1").mkdir(parents=True)
+    assert _checked_weights(config) is None

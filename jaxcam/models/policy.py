@@ -122,6 +122,17 @@ def _string_keys(tree: Any) -> Any:
     return tree
 
 
+def blank_stats(spec: PolicySpec) -> dict[str, np.ndarray]:
+    """Statistics of data that nobody has seen yet: for a policy that is only to be looked at."""
+    sizes = {"action": spec.action_dim, "proprio": spec.proprio_dim, "keyframe": 3}
+    values = {"mean": 0, "std": 1, "min": -1, "max": 1}
+    return {
+        f"{name}_{kind}": np.full(size, value, np.float32)
+        for name, size in sizes.items()
+        for kind, value in values.items()
+    }
+
+
 def check_sizes(chunk: int, spec: PolicySpec, stats: Stats) -> None:
     """Refuse a policy whose settings, sizes and statistics do not go together.
 

@@ -40,6 +40,10 @@ class Painter(Protocol):
         ...
 
 
+PROPRIO_DIM = 11
+"""Numbers that the robot feels, see `World.proprio`."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class World(ABC):
     """A task's world: its robot in the arrays of states, and who steps and draws it."""
@@ -100,7 +104,7 @@ class World(ABC):
         """Whether one painter draws as fast as several, each in a process of its own."""
 
     def proprio(self, qpos: Array, grip_position: Array) -> Array:
-        """What the robot feels, float32 [..., 11].
+        """What the robot feels, float32 [..., PROPRIO_DIM].
 
         Joint angles (rad) [7], grip site in the base frame (m) [3], opening of the fingers (m).
         """
