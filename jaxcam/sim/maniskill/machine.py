@@ -22,7 +22,6 @@ VULKAN = """Without a graphics card, Mesa's software driver lavapipe (24.3 or ne
                       apt-get install -t bookworm-backports mesa-vulkan-drivers libvulkan1
   Debian 13, Ubuntu 25.04 or newer:
                       apt-get install mesa-vulkan-drivers libvulkan1
-  without root:       conda install -c conda-forge mesa-vulkan-drivers vulkan-loader
 With an NVIDIA card, its driver brings Vulkan; containers need NVIDIA_DRIVER_CAPABILITIES=all."""
 """How to get a Vulkan device."""
 ICD_VARIABLES = ("VK_DRIVER_FILES", "VK_ICD_FILENAMES")

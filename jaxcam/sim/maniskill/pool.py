@@ -45,17 +45,11 @@ class Child:
 
     Args:
         world: the world it simulates.
-        stall: time (s) without a sign of work after which it counts as hung.
-        command: what is run, with the ends of pipe and memory appended.
     """
 
-    def __init__(
-        self, world: SapienWorld, stall: float = STALL, command: Sequence[str] = ()
-    ) -> None:
+    def __init__(self, world: SapienWorld) -> None:
         self._sizes = Sizes(world.nq, world.nv, 2 + len(world.markers))
-        self._world, self._stall = world, stall
-        worker = (sys.executable, "-m", "jaxcam.sim.maniskill.worker")
-        self._command = tuple(command) or worker
+        self._world = world
         self._file = os.memfd_create("jaxcam")
         self.memory: Memory = open_memory(self._file, self._sizes)
         self._process: subprocess.Popen[bytes] | None = None
@@ -118,7 +112,7 @@ class Child:
         ours, theirs = socketpair()
         ends = (theirs.fileno(), self._file)
         self._process = subprocess.Popen(
-            [*self._command, *map(str, ends), told],
+            [sys.executable, "-m", "jaxcam.sim.maniskill.worker", *map(str, ends), told],
             pass_fds=ends, env=environment(),
             stdin=subprocess.DEVNULL, stdout=self._words, stderr=self._words,
         )  # fmt: skip
@@ -133,8 +127,8 @@ class Child:
                 raise _LostError(_ending(self._process.returncode))
             if self.memory.beat[0] != beat:
                 beat, since = self.memory.beat[0], time.monotonic()
-            if time.monotonic() - since > self._stall:
-                raise _LostError(f"has hung: no sign of work for {self._stall:g} s")
+            if time.monotonic() - since > STALL:
+                raise _LostError(f"has hung: no sign of work for {STALL:g} s")
         try:
             return self._pipe.recv()
         except (EOFError, OSError) as error:
@@ -225,7 +219,10 @@ def pool_of(world: SapienWorld) -> Pool:
         SimError: if this machine cannot run them; the message says what is missing.
     """
     require()
-    return _pools.setdefault((world.task, world.name), Pool(world))
+    key = (world.task, world.name)
+    if key not in _pools:
+        _pools[key] = Pool(world)
+    return _pools[key]
 
 
 _pools: dict[tuple[str, str], Pool] = {}

@@ -5,6 +5,7 @@ requests that come through a pipe, with arrays in shared memory. Each world is a
 own, stepped and never drawn; one more is drawn and never stepped.
 """
 
+import faulthandler
 import json
 import signal
 import sys
@@ -64,6 +65,13 @@ class _World:
         body = sapien.physx.PhysxRigidDynamicComponent
         self.bodies = [actor.find_component_by_type(body) for actor in self.actors]
         self.last: np.ndarray | None = None
+        self._scene, self._physics = env.scene.sub_scenes[0], env.scene.px
+        kinds = sapien.physx.PhysxBaseComponent
+        self._touched = [
+            entity
+            for entity in self._scene.entities
+            if any(isinstance(part, kinds) for part in entity.components)
+        ]
 
     def put(self, qpos: np.ndarray, fixtures: np.ndarray) -> None:
         """At rest, and what is seen where it is seen."""
@@ -71,6 +79,7 @@ class _World:
 
     def load(self, qpos: np.ndarray, qvel: np.ndarray) -> None:
         """A state; what is only seen does not matter to the physics and is left at the origin."""
+        self._renew()
         self.put(qpos, np.tile([0, 0, 0, 1.0, 0, 0, 0], (2 + len(self.env.markers), 1)))
         self.robot.set_qvel(qvel[:JOINTS])
         for body, velocity in zip(self.bodies, qvel[JOINTS:].reshape(-1, 6), strict=True):
@@ -85,7 +94,24 @@ class _World:
 
     def step(self) -> None:
         for _ in range(self.substeps):
-            self.env.scene.px.step()
+            self._physics.step()
+
+    def _renew(self) -> None:
+        """Moves everything into a new PhysX scene.
+
+        The order in which PhysX solves contacts follows from all the contacts that a scene has
+        ever had: the same episode would end otherwise the second time.
+        """
+        import sapien
+
+        physics = sapien.physx.PhysxCpuSystem()
+        physics.timestep = self._physics.timestep
+        scene = sapien.Scene([physics])
+        for entity in self._touched:
+            self._scene.remove_entity(entity)
+        for entity in self._touched:
+            scene.add_entity(entity)
+        self._scene, self._physics = scene, physics
 
     def read(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         poses = [x for actor in self.actors for x in (actor.pose.p, actor.pose.q)]
@@ -241,6 +267,7 @@ def _depth_and_segments(camera: Any) -> tuple[np.ndarray, np.ndarray]:
 
 def main() -> None:
     """The child's life: requests until the parent closes its end."""
+    faulthandler.enable()  # a crash in SAPIEN says where
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer
     pipe, file, told = Connection(int(sys.argv[1])), int(sys.argv[2]), json.loads(sys.argv[3])
     to = Assignment(**{**told, "sizes": Sizes(**told["sizes"])})
