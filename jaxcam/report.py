@@ -38,7 +38,17 @@ from jaxcam.rundir import write_atomically
 from jaxcam.studies import CONDITIONINGS, STUDIES, names, panels
 from jaxcam.study_plots import bars, curves, maps
 from jaxcam.study_plots import gains as draw_gains
-from jaxcam.tables import by_task, cells, context, gains, runs_table, table_one, to_csv, twins_of
+from jaxcam.tables import (
+    by_task,
+    cells,
+    context,
+    gains,
+    is_of_table,
+    runs_table,
+    table_one,
+    to_csv,
+    twins_of,
+)
 
 
 def write_comparison(runs: Sequence[Run], out: Path, split: str = "test") -> Path:
@@ -89,7 +99,9 @@ def _about(arms: Sequence[Arm]) -> list[Block]:
             )
         )
     if excluded := sum(arm.estimate.excluded for arm in arms):
-        blocks.append(Text(f"{excluded} rollouts did not finish and count in no rate.", warns=True))
+        blocks.append(
+            Text(f"Rollouts that did not finish and count in no rate: {excluded}.", warns=True)
+        )
     return blocks
 
 
@@ -98,7 +110,7 @@ def _main(arms: Sequence[Arm], out: Path) -> list[Block]:
     blocks: list[Block] = [Heading("With and without the camera pose"), table_one(arms)]
     if table := gains(arms):
         blocks += [Heading("Paired differences"), table]
-    if twins := [some for some in twins_of(arms) if paper.is_table_setting(some[0].settings)]:
+    if twins := [some for some in twins_of(arms) if is_of_table(some[0])]:
         path = save(draw_gains(twins), out / "figures" / "gains.png")
         caption = (
             "Grey: image only. Hollow points: fewer rollouts than the protocol asks for. Diamonds: "

@@ -201,8 +201,8 @@ def _title(axes: Axes, title: str) -> None:
 
 def _twin_name(arm: Arm) -> str:
     s = arm.settings
-    preset = "" if s.get("preset") in (None, "paper") else f", {arm.label('views', 'n', 'm')}"
-    return f"{policy_title(s['policy'])}, {task_title(s['task'])}{preset}"
+    label = arm.label("views", "n", "m").removeprefix("paper preset").removeprefix(", ")
+    return ", ".join(filter(None, [policy_title(s["policy"]), task_title(s["task"]), label]))
 
 
 def _rates(axes: Axes) -> None:

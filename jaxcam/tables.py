@@ -45,7 +45,7 @@ def table_one(arms: Sequence[Arm]) -> Table:
     Args:
         arms: Of any settings; those of Table I are shown.
     """
-    shown = [a for a in arms if paper.is_table_setting(a.settings) and _belongs(a)]
+    shown = [arm for arm in arms if is_of_table(arm)]
     others = [t for t in by_task(shown) if t not in paper.TASKS]
     tasks = [*paper.TASKS, *others]
     base = baselines(arms)
@@ -140,7 +140,7 @@ def runs_table(runs: Iterable[Run], links: Mapping[str, Sequence[Link]]) -> Tabl
         ])  # fmt: skip
     head = ("Run", "Seed", "Settings", "Checkpoints", "Newest", "Rollouts", "Did not finish",
             "Success", "Training hours", "Failures")  # fmt: skip
-    return Table(f"All {len(rows)} runs", head, rows, folded=True)
+    return Table(f"Runs: {len(rows)}", head, rows, folded=True)
 
 
 def to_csv(arms: Sequence[Arm]) -> str:
@@ -180,6 +180,13 @@ def paper_value(arm: Arm) -> float | None:
     return paper.success(s["policy"], s["task"], told)
 
 
+def is_of_table(arm: Arm) -> bool:
+    """Whether its settings are Table I's, with the paper's conditioning or one it has nowhere."""
+    way = arm.settings["conditioning"]
+    known = way in ("none", _papers_way(arm.settings["policy"])) or way not in paper.ENCODINGS
+    return known and paper.is_table_setting(arm.settings)
+
+
 def by_task(arms: Iterable[Arm]) -> dict[str, list[Arm]]:
     """Arms by task, the paper's tasks first and in its order."""
     tasks: dict[str, list[Arm]] = {name: [] for name in paper.TASKS}
@@ -213,12 +220,6 @@ def _steps(arms: Sequence[Arm]) -> list[str]:
         return []
     counts = sorted({arm.settings["steps"] for arm in arms})
     return [f"{' or '.join(f'{count:,}' for count in counts)}\nupdates"]
-
-
-def _belongs(arm: Arm) -> bool:
-    """Whether its conditioning is of Table I, or one that the paper has nowhere."""
-    way = arm.settings["conditioning"]
-    return way in ("none", _papers_way(arm.settings["policy"])) or way not in paper.ENCODINGS
 
 
 def _task(arm: Arm) -> str:
