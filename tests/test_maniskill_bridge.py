@@ -193,15 +193,15 @@ np.save("found.npy", found)
 
 def test_a_control_step_is_maniskills_own(joint_engine, push, world, tmp_path):
     start = starts(push, world, [0])
-    targets = start.qpos[0, :7] + np.linspace(0, 1, 25)[:, None] * [0, 0.5, 0, 0.1, 0, 0.3, 0]
-    np.save(tmp_path / "actions.npy", np.c_[targets, -np.ones(25)].astype(np.float32))
+    targets = start.qpos[0, :7] + np.linspace(0, 1, 25)[:, None] * [0.2, -0.4, 0, 0.1, 0, 0.3, 0]
+    np.save(tmp_path / "actions.npy", np.c_[targets, np.ones(25)].astype(np.float32))
     subprocess.run(
         [sys.executable, "-W", "ignore", "-c", MANISKILL], cwd=tmp_path, check=True,
         env=machine.environment(), capture_output=True,
     )  # fmt: skip
     state, rows = joint_engine.reset(start), []
     for target in targets:
-        state = joint_engine.step(state, Command(target[None], np.ones(1)))
+        state = joint_engine.step(state, Command(target[None], -np.ones(1)))
         rows.append(np.concatenate([state.qpos[0], state.qvel[0]]))
     np.testing.assert_allclose(rows, np.load(tmp_path / "found.npy"), atol=1e-4)
 

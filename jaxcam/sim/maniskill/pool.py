@@ -36,7 +36,7 @@ MOST = 8
 """Children at most; each takes about 1 GB."""
 SHARE = 4
 """Worlds or views that a child is started for; fewer are left to those that run."""
-LAST_LINES = 15
+LAST_LINES, LINE_LENGTH = 15, 200
 _LOG = logging.getLogger(__name__)
 
 
@@ -93,14 +93,16 @@ class Child:
             return value
 
     def close(self) -> None:
-        """Ends the process."""
+        """Ends the process for good."""
         if self._process is not None:
             self._pipe.close()
             try:
                 self._process.wait(2)
             except subprocess.TimeoutExpired:
                 self._kill()
-        self._process = None
+            self._process = None
+        self._words.close()
+        os.close(self._file)
 
     @property
     def _name(self) -> str:
@@ -144,7 +146,7 @@ class Child:
     def _told(self, what: str) -> str:
         self._words.seek(0)
         lines = self._words.read().decode(errors="replace").strip().splitlines()[-LAST_LINES:]
-        words = "\n".join(lines) or "(nothing)"
+        words = "\n".join(line[:LINE_LENGTH] for line in lines) or "(nothing)"
         return f"{self._name} {what}, asked to {self._asked[0]}. Its last words:\n{words}\n"
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from jaxcam.errors import ConfigError, closest
 from jaxcam.presets import NAMES
 from jaxcam.rotations import matrix_from_rotvec
+from jaxcam.sim.controllers import CONTROL_HZ
 from jaxcam.sim.engine import ControllerName, Engine, Start
 from jaxcam.sim.task import Task, shifted_fixtures
 from jaxcam.sim.world import Painter, World
@@ -27,9 +28,9 @@ TABLE_SHIFT = 0.2
 """Half-range (m) of the shift of the table that is seen in randomised scenes (authors' code)."""
 ROOM_SHIFT = 2.0
 """Half-range (m) of the floor's shift in randomised scenes."""
-JOINT_LAG = 0.1
-"""Time (s) by which steadily moving joints trail behind their targets: damping over stiffness of
-ManiSkill's Panda."""
+JOINT_LAG = 0.1 - 0.5 / CONTROL_HZ
+"""Time (s) by which steadily moving joints are behind their target at the end of a control step:
+damping over stiffness of ManiSkill's Panda, less half of the step, in which targets stand still."""
 
 
 @dataclass(frozen=True, kw_only=True)
