@@ -104,15 +104,16 @@ class Checkpoints:
 
     Args:
         directory: Folder of the checkpoints; made if missing. Half-written ones in it are removed.
-        keep: How many of the newest are kept.
+        keep: How many of the newest at the run's regular steps are kept. One that a signal caused
+            in between is kept until the next, so that all seeds keep the same steps.
     """
 
     def __init__(self, directory: str | Path, *, keep: int = 10) -> None:
         self._directory = Path(directory).absolute()
         self._directory.mkdir(parents=True, exist_ok=True)
         _remove_unfinished(self._directory)
+        self._keep = keep
         options = ocp.CheckpointManagerOptions(
-            preservation_policy=ocp.checkpoint_managers.LatestN(keep),
             # A failed asynchronous save is reported by the next one, which may never come.
             enable_async_checkpointing=False,
         )
@@ -173,6 +174,7 @@ class Checkpoints:
                 f"Checkpoint {step} could not be written to {self._directory}: "
                 f"{brief(error)}. {self._last()}"
             ) from error
+        self._prune(side["config"]["save_every"])
 
     def restore_latest(
         self, template: TrainState, *, expect: Mapping[str, Any] | None = None
@@ -203,6 +205,14 @@ class Checkpoints:
         if damaged:
             self._manager.reload()
         return Restored(state, side)
+
+    def _prune(self, every: int) -> None:
+        """Remove what is neither the newest nor among the newest at regular steps."""
+        steps = self.steps()
+        kept = {steps[-1], *[step for step in steps if step % every == 0][-self._keep :]}
+        for step in steps:
+            if step not in kept:
+                self._manager.delete(step)
 
     def _check_space(self, step: int, size: int) -> None:
         needed, free = SPACE_FACTOR * size, shutil.disk_usage(self._directory).free

@@ -23,7 +23,7 @@ from jaxcam.errors import CheckpointError
 from jaxcam.manifest import DamagedError, flatten, read_all
 from jaxcam.state import init_state, make_train_chunk
 
-CONFIG = resolve(TrainConfig(steps=6), accelerator=False)
+CONFIG = resolve(TrainConfig(steps=6, save_every=1), accelerator=False)
 ROOT = jax.random.key(0)
 
 # Orbax reads arrays side by side and closes its event loop at the first that fails; the others
@@ -165,6 +165,20 @@ def test_keeps_the_newest_and_saves_a_step_once(tmp_path):
             checkpoints.save(state, SIDE)
         assert checkpoints.steps() == [2, 3]
     assert checkpoint_steps(tmp_path) == [2, 3]
+
+
+def test_checkpoints_between_the_regular_ones_are_kept_until_the_next(tmp_path):
+    config = dataclasses.replace(CONFIG, save_every=2)
+    side = make_side(config, settings=Settings(), spec=Settings(), stats=STATS, data="abc")
+    found = []
+    with Checkpoints(tmp_path / "checkpoints", keep=2) as checkpoints:
+        state = fresh()
+        for step in (2, 3, 4, 5, 6, 7):
+            state = train(state, step)
+            checkpoints.save(state, side)
+            found.append(checkpoints.steps())
+    assert found == [[2], [2, 3], [2, 4], [2, 4, 5], [4, 6], [4, 6, 7]]
+    assert checkpoint_steps(tmp_path) == [4, 6, 7]
 
 
 def damage_flip(run):

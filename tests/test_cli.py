@@ -146,7 +146,7 @@ def test_the_same_command_goes_on_to_the_end(run, where, stopped):
     assert [r["step"] for r in metrics if "val_loss" in r] == [40, 80, 120, 160]
     assert metrics[-1]["pairs"] == 4
     assert 0 <= metrics[-1]["low"] <= metrics[-1]["success_rate"] <= metrics[-1]["high"] <= 1
-    assert {80, STEPS, stopped[2]} == set(steps_saved(where))
+    assert {80, STEPS} == set(steps_saved(where))  # the one of the interrupt has served
     assert from_json(TrainConfig, (folder / "config.json").read_text()).resolution == 32
 
 
