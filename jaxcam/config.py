@@ -180,7 +180,7 @@ class ReplayConfig:
     """Replay demonstrations in each action space and count how many succeed."""
 
     dataset: tyro.conf.Positional[str]
-    """HDF5 file of demonstrations."""
+    """HDF5 file of demonstrations; one of ManiSkill's is imported first (`jaxcam.maniskill`)."""
     action_space: Annotated[tuple[str, ...], one_of("action_space")] = ()
     """Action spaces to replay in; the paper's four unless given."""
     engine: Annotated[str, one_of("engine")] = "auto"
@@ -213,6 +213,33 @@ class RobomimicConfig:
     validation: Annotated[
         int | None, tyro.conf.arg(metavar="INT"), default("those of mask/valid, else every tenth")
     ] = None
+    """Validation demonstrations, the last ones."""
+    n: Annotated[FromPreset[int], default("the task's")] = PRESET
+    """Cameras a demonstration is seen from."""
+    m: Annotated[FromPreset[int], default("the task's")] = PRESET
+    """Cameras by which that window moves from one demonstration to the next."""
+
+    def __post_init__(self) -> None:
+        check_types(self)
+        check_names(self)
+        check_least(self, 1, "n")
+        check_least(self, 0, "validation m")
+        _check_window(self.n, self.m)
+
+
+@dataclass(frozen=True)
+class ManiskillConfig:
+    """Import ManiSkill's trajectories by their states, and replay them in each action space."""
+
+    file: tyro.conf.Positional[str]
+    """HDF5 file of ManiSkill 3 with environment states, its JSON file beside it."""
+    out: Annotated[
+        str | None, tyro.conf.arg(metavar="STR"), default("data/TASK-SCENE-FILE.hdf5")
+    ] = None
+    """Dataset to write; train on it with `python -m jaxcam.train --dataset`."""
+    scene: Annotated[str, one_of("scene")] = "randomized"
+    """Whether the table that is seen stands still or moves from episode to episode."""
+    validation: Annotated[int | None, tyro.conf.arg(metavar="INT"), default("every tenth")] = None
     """Validation demonstrations, the last ones."""
     n: Annotated[FromPreset[int], default("the task's")] = PRESET
     """Cameras a demonstration is seen from."""

@@ -4,7 +4,7 @@ Every demonstration's commands are turned into actions of a space and executed, 
 state that it began in. The paper asks for at least 99 % in each space (section V-A4).
 """
 
-from jaxcam.config import ReplayConfig
+from jaxcam.config import ManiskillConfig, ReplayConfig
 from jaxcam.fields import cli
 
 if __name__ == "__main__":
@@ -19,8 +19,9 @@ from rich.console import Console
 from rich.table import Table
 
 from jaxcam.actions import ACTION_SPACES, controller_of, decode, demo_actions, measured
-from jaxcam.demos import Demo, read_demos
+from jaxcam.demos import Demo, Header, read_demos
 from jaxcam.errors import run_main
+from jaxcam.maniskill_files import is_trajectories
 from jaxcam.progress import progress
 from jaxcam.sim import make_engine, make_task
 from jaxcam.sim.engine import Command, Engine, OpenLoop, Start
@@ -39,6 +40,13 @@ OPEN_LOOP = OpenLoop()
 def replay(
     demos: Sequence[Demo], space: str, task: Task, scene: World, engine: Engine
 ) -> np.ndarray:
+    """Whether each demonstration succeeds at any step of its own, bool [D]; see `play`."""
+    return play(demos, space, task, scene, engine)[0]
+
+
+def play(
+    demos: Sequence[Demo], space: str, task: Task, scene: World, engine: Engine
+) -> tuple[np.ndarray, np.ndarray]:
     """Executes demonstrations side by side in one action space.
 
     Args:
@@ -49,7 +57,7 @@ def replay(
         engine: with the space's controller.
 
     Returns:
-        Whether each succeeded at any step of its own, bool [D].
+        Whether each succeeded at any step of its own, bool [D], and the way there [T + 1, D, nq].
     """
     start = Start(
         qpos=np.stack([d.states[0, 1 : 1 + scene.nq] for d in demos]),
@@ -60,8 +68,9 @@ def replay(
     actions = [_held(demo_actions(d, space, scene), space, max(lengths)) for d in demos]
     anchor = measured(space, engine.reset(start), scene.arm)
     command = Command(*decode(space, np.stack(actions), anchor))
-    progress, _ = engine.run(OPEN_LOOP, command, start, task.success, max(lengths))
-    return np.asarray(progress.success) & (np.asarray(progress.steps) <= lengths)
+    progress, way = engine.run(OPEN_LOOP, command, start, task.success, max(lengths))
+    success = np.asarray(progress.success) & (np.asarray(progress.steps) <= lengths)
+    return success, np.asarray(way)
 
 
 def _held(actions: np.ndarray, space: str, length: int) -> np.ndarray:
@@ -108,26 +117,39 @@ def replay_all(
     return found
 
 
-def main() -> None:
-    """The command line."""
-    config = cli(ReplayConfig)
-    console = Console()
-    data = read_demos(Path(config.dataset))
-    task = make_task(data.header.task)
-    scene = task.scene(data.header.scene)
-    demos = data.train + data.valid
-    spaces = config.action_space or ACTION_SPACES
-    with progress(console, "replaying", len(demos) * len(spaces)) as advance:
-        found = replay_all(demos, task, scene, spaces, config.engine, advance)
-    table = Table(title=f"{data.header.task}, {data.header.scene}: {len(demos)} demonstrations")
+def tell(
+    demos: Sequence[Demo], header: Header, spaces: Sequence[str], engine: str | None, to: Console
+) -> dict[str, np.ndarray]:
+    """Replays demonstrations and prints a table of how many succeed; see `replay_all`."""
+    task = make_task(header.task)
+    scene = task.scene(header.scene)
+    with progress(to, "replaying", len(demos) * len(spaces)) as advance:
+        found = replay_all(demos, task, scene, spaces, engine, advance)
+    table = Table(title=f"{header.task}, {header.scene}: {len(demos)} demonstrations")
     for column in ("action space", "succeed", "rate", "fail"):
         table.add_column(column, justify="left" if column != "rate" else "right")
     for space, success in found.items():
         failed = ", ".join(f"demo_{i}" for i in np.flatnonzero(~success))
         table.add_row(space, f"{success.sum()} of {len(demos)}", f"{success.mean():.1%}", failed)
-    console.print(table)
+    to.print(table)
     if any(success.mean() < GATE for success in found.values()):
-        console.print(f"Below {GATE:.0%}: policies of that space learn from what does not work.")
+        to.print(f"Below {GATE:.0%}: policies of that space learn from what does not work.")
+    return found
+
+
+def main() -> None:
+    """The command line."""
+    config = cli(ReplayConfig)
+    console, path = Console(), Path(config.dataset)
+    spaces = config.action_space or ACTION_SPACES
+    if is_trajectories(path):
+        from jaxcam.maniskill import run
+
+        found = run(ManiskillConfig(file=config.dataset), spaces, config.engine, console)
+    else:
+        data = read_demos(path)
+        found = tell(data.train + data.valid, data.header, spaces, config.engine, console)
+    if any(success.mean() < GATE for success in found.values()):
         sys.exit(1)
 
 

@@ -1,0 +1,182 @@
+"""`python -m jaxcam.maniskill FILE.h5`: ManiSkill's trajectories as a jaxcam dataset.
+
+The environment states in the file become states of the task's world, and its actions absolute grip
+targets, whatever the control mode; cameras are drawn as for our own demonstrations. The result is
+then replayed in each action space, and what does not succeed there is told with the reason.
+`python -m jaxcam.replay FILE.h5` does the same with the usual settings. The layout of the files is
+that of ManiSkill's `RecordEpisode` (mani_skill 3), which the official demonstrations share.
+"""
+
+from jaxcam.config import CollectConfig, ManiskillConfig, with_task
+from jaxcam.fields import cli
+
+if __name__ == "__main__":
+    cli(ManiskillConfig)  # --help and bad flags are answered before the slow imports
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from jaxcam.actions import ACTION_SPACES, controller_of
+from jaxcam.collect import FIRST_SEED, camera_windows, new_header
+from jaxcam.demos import Demo, Demos, DemoWriter, read_demos
+from jaxcam.errors import DatasetError, run_main
+from jaxcam.locks import exclusive
+from jaxcam.maniskill_files import (
+    Source,
+    open_file,
+    read_demo,
+    read_source,
+    succeeds,
+    why_failed,
+)
+from jaxcam.progress import progress
+from jaxcam.replay import GATE, play, tell
+from jaxcam.sim import make_engine, make_task
+
+ASTRAY = 0.02
+"""Distance (m) from where it was recorded at which a replayed object has gone another way."""
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What came of a trajectory file."""
+
+    demos: Demos
+    names: list[str]
+    """Of the trajectories that became demonstrations, in their order."""
+    dropped: dict[str, str]
+    """Why the others did not, by name."""
+
+
+def import_trajectories(config: ManiskillConfig, console: Console | None = None) -> Imported:
+    """Turns a trajectory file into a dataset of ours.
+
+    Args:
+        config: what to import and how.
+        console: for progress; silent when None.
+
+    Returns:
+        The dataset as read back, and what was left out of it.
+
+    Raises:
+        DatasetError: if the file is not ManiSkill's, is of another task or robot, has no
+            environment states, or if the dataset exists.
+    """
+    source = read_source(config)
+    out = Path(
+        config.out or f"data/{source.task.name}-{config.scene}-{Path(config.file).stem}.hdf5"
+    )
+    demos: dict[str, Demo] = {}
+    dropped: dict[str, str] = {}
+    with (
+        open_file(source.path) as file,
+        progress(console, "reading", len(source.episodes)) as advance,
+    ):
+        for episode in source.episodes:
+            name = f"traj_{episode['episode_id']}"
+            demo = read_demo(
+                source, file, name, str(episode["control_mode"]), FIRST_SEED + len(demos)
+            )
+            if succeeds(demo, source.task, source.scene):
+                demos[name] = demo
+            else:
+                dropped[name] = why_failed(source, file, name)
+            advance()
+    with exclusive(out, console):
+        written = _write(source, config, out, list(demos.values()))
+    return Imported(written, list(demos), dropped)
+
+
+def _write(source: Source, config: ManiskillConfig, out: Path, demos: list[Demo]) -> Demos:
+    held = len(demos) // 10 if config.validation is None else config.validation
+    train = len(demos) - held
+    if train < 1:
+        raise DatasetError(
+            f"{source.path}: {len(demos)} of {len(source.episodes)} trajectories succeed, of which "
+            f"{held} are for validation: none is left to train on. Choose a smaller --validation."
+        )
+    if out.exists():
+        raise DatasetError(f"{out} exists. Choose another --out, or delete it first.")
+    out.with_name(out.name + ".part").unlink(missing_ok=True)  # perhaps of another file
+    like = with_task(
+        CollectConfig(
+            task=source.task.name,
+            scene=config.scene,
+            demos=train,
+            validation=held,
+            n=config.n,
+            m=config.m,
+        )
+    )
+    header = new_header(like, source.task, source.scene)
+    header = replace(header, versions={**header.versions, "imported": source.about})
+    with DemoWriter(out, header) as writer:
+        for i, (demo, cameras) in enumerate(zip(demos, camera_windows(header), strict=True)):
+            writer.append(i, replace(demo, cameras=cameras))
+        writer.finish()
+    return read_demos(out)
+
+
+def run(
+    config: ManiskillConfig, spaces: Sequence[str], engine: str | None, console: Console
+) -> dict[str, np.ndarray]:
+    """Imports a file, replays it, and tells of both.
+
+    Args:
+        config: what to import and how.
+        spaces: action spaces to replay in.
+        engine: name of the physics engine; the world's own when None.
+        console: to tell on.
+
+    Returns:
+        Whether each demonstration succeeds in each space, bool [D] by name.
+    """
+    found = import_trajectories(config, console)
+    data, total = found.demos, len(found.names) + len(found.dropped)
+    console.print(f"{data.path}: {len(found.names)} of {total} trajectories succeed.")
+    for name, why in found.dropped.items():
+        console.print(f"{name}: {why}")
+    demos = data.train + data.valid
+    replayed = tell(demos, data.header, spaces, engine, console)
+    for space, success in replayed.items():
+        for i in np.flatnonzero(~success):
+            console.print(f"{space}, {found.names[i]}: {_why_lost(demos[i], space, data, engine)}")
+    console.print(f"Train on it: python -m jaxcam.train --dataset {data.path}", soft_wrap=True)
+    return replayed
+
+
+def _why_lost(demo: Demo, space: str, data: Demos, engine: str | None) -> str:
+    """How the replay of a demonstration that fails differs from its states."""
+    task: Any = make_task(data.header.task)
+    scene = task.scene(data.header.scene)
+    stepped = make_engine(engine or scene.engines[0], scene, controller_of(space), task.varied)
+    _, way = play([demo], space, task, scene, stepped)
+    recorded = demo.states[:, 1 : 1 + scene.nq]
+    steps = min(len(way), len(recorded))
+    for name in scene.objects:
+        at = scene.qpos_of(name)
+        apart = np.linalg.norm(way[:steps, 0, at : at + 3] - recorded[:steps, at : at + 3], axis=-1)
+        gone = np.flatnonzero(apart > ASTRAY)
+        if len(gone):
+            return (
+                f"from control step {gone[0]} on, the {name} is elsewhere than it was recorded, "
+                f"by up to {apart.max():.2f} m"
+            )
+    return "goes as it was recorded, and only just misses success"
+
+
+def main() -> None:
+    """The command line."""
+    found = run(cli(ManiskillConfig), ACTION_SPACES, None, Console())
+    if any(success.mean() < GATE for success in found.values()):
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    run_main(main)

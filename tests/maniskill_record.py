@@ -1,0 +1,89 @@
+"""Records trajectories with ManiSkill's own `RecordEpisode`; run as a program, with PyTorch.
+
+`python maniskill_record.py ENV MODE FOLDER SEED...` writes FOLDER/trajectory.h5 and .json: one
+episode a seed, shown by the expert of our task; a seed below zero stands still.
+"""
+
+import sys
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from mani_skill.utils.geometry.rotation_conversions import matrix_to_euler_angles
+from mani_skill.utils.wrappers import RecordEpisode
+
+import jaxcam.sim.maniskill.envs  # noqa: F401  (registers ours)
+from jaxcam.maniskill_files import ENVIRONMENTS
+from jaxcam.rotations import matrix_from_quaternion
+from jaxcam.sim import make_task
+from jaxcam.sim.engine import Start
+from jaxcam.sim.maniskill import kinematics
+from jaxcam.sim.task import Aim, Sight
+
+
+class Show:
+    """The expert of our task in somebody's environment."""
+
+    def __init__(self, env: Any, mode: str) -> None:
+        self.env, self.mode, self.inner = env, mode, env.unwrapped
+        self.task: Any = make_task(ENVIRONMENTS[env.spec.id])
+        self.world = self.task.scene("fixed")
+        self.base = self.world.world_from_base
+
+    def episode(self, seed: int) -> None:
+        self.env.reset(seed=abs(seed))
+        fixtures = np.zeros((2 + len(self.task.markers), 7))
+        for row, name in enumerate(self.task.markers, start=2):
+            fixtures[row] = self.inner.scene.actors[name].pose.raw_pose[0]
+        qpos, position, rotation = self.look()
+        start = Start(qpos, np.zeros((0, 3)), fixtures)
+        sight = Sight(position, rotation, qpos, np.random.default_rng(abs(seed)), start)
+        for aim in self.task.expert(self.world, sight):
+            aim = Aim(position, rotation, aim.gripper) if seed < 0 else aim
+            self.env.step(self.action(aim, sight))
+            sight.qpos, sight.grip_position, sight.grip_rotation = self.look()
+            if seed < 0 and self.inner.elapsed_steps[0] > 5:
+                return
+
+    def look(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        robot, tcp = self.inner.agent.robot, self.inner.agent.tcp.pose
+        poses = [self.inner.scene.actors[name].pose.raw_pose for name in self.world.objects]
+        qpos = torch.cat([robot.get_qpos(), *poses], -1)[0].numpy().astype(float)
+        rotation = matrix_from_quaternion(tcp.q[0].numpy().astype(float))
+        return qpos, tcp.p[0].numpy().astype(float), rotation
+
+    def action(self, aim: Any, sight: Sight) -> np.ndarray:
+        """An aim in the environment's control mode."""
+        turn = self.base[:3, :3]
+        position, rotation = turn.T @ (aim.position - self.base[:3, 3]), turn.T @ aim.rotation
+        joints = sight.qpos[:7]
+        if self.mode.startswith("pd_joint"):
+            goal = kinematics.inverse(position[None], rotation[None], joints[None], joints[None])
+            move = goal[0] if self.mode == "pd_joint_pos" else (goal[0] - joints) / 0.1
+        else:
+            move = np.concatenate([position, _euler(rotation)])
+            if self.mode == "pd_ee_delta_pose":
+                at, axes = (x[0] for x in kinematics.forward(joints[None])[:2])
+                move = np.concatenate([position - at, -_euler(rotation @ axes.T)]) / 0.1
+        return np.append(move, -aim.gripper).astype(np.float32)
+
+
+def _euler(rotation: np.ndarray) -> np.ndarray:
+    return matrix_to_euler_angles(torch.tensor(rotation), "XYZ").numpy()
+
+
+def main() -> None:
+    name, mode, folder, *seeds = sys.argv[1:]
+    env = gymnasium.make(
+        name, obs_mode="none", control_mode=mode, render_backend="none", sim_backend="physx_cpu"
+    )
+    env = RecordEpisode(env, folder, trajectory_name="trajectory", save_video=False)
+    show = Show(env, mode)
+    for seed in map(int, seeds):
+        show.episode(seed)
+    env.close()
+
+
+if __name__ == "__main__":
+    main()
