@@ -8,7 +8,7 @@ from jaxcam.sim.controllers import CONTROL_HZ
 from jaxcam.sim.engine import Command, ControllerName, Engine, Start, State
 from jaxcam.sim.maniskill import kinematics
 from jaxcam.sim.maniskill.memory import ROWS
-from jaxcam.sim.maniskill.pool import Child, pool_of
+from jaxcam.sim.maniskill.pool import Child, Pool, pool_of
 from jaxcam.sim.maniskill.task import SapienWorld
 
 
@@ -23,11 +23,17 @@ class SapienEngine(Engine):
     Args:
         scene: the world.
         controller: `osc_pose` or `joint_position`.
+        pool: processes that step it; those that all share when None.
     """
 
-    def __init__(self, scene: SapienWorld, controller: ControllerName = "osc_pose") -> None:
+    def __init__(
+        self,
+        scene: SapienWorld,
+        controller: ControllerName = "osc_pose",
+        pool: Pool | None = None,
+    ) -> None:
         self.scene, self.controller = scene, controller
-        self._pool = pool_of(scene)
+        self._pool = pool or pool_of(scene)
         about = self._pool.about
         if about["control_hz"] != CONTROL_HZ:
             raise SimError(
