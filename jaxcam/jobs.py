@@ -1,5 +1,7 @@
 """A run as a job: its commands one after another, here or where submitit sends them."""
 
+import contextlib
+import os
 import signal
 import subprocess
 import threading
@@ -59,7 +61,10 @@ class Job:
 
         self.stop()
         if self._child is not None:
-            self._child.wait()
+            # This runs in a signal handler, which may have interrupted a `wait` that holds the
+            # lock of another: ask the kernel, and leave the exit code where it is.
+            with contextlib.suppress(ChildProcessError):
+                os.waitid(os.P_PID, self._child.pid, os.WEXITED | os.WNOWAIT)
         return DelayedSubmission(Job(self.commands, self.log))
 
 
@@ -114,10 +119,10 @@ class Here:
 
 
 class Submitit:
-    """Jobs of a cluster through submitit. Their numbers are kept, to find them again.
+    """Jobs of a cluster through submitit. Slurm's numbers are kept, to find them again.
 
     Args:
-        cluster: "slurm", or "local" for processes on this machine.
+        cluster: "slurm", or "local" for processes on this machine, which are not found again.
         folder: For submitit's files.
         parameters: Of submitit, such as timeout_min, gpus_per_node or slurm_partition.
     """

@@ -22,7 +22,7 @@ def steps_saved(folder):
 
 def train(flags):
     folder = Path(flags["run-dir"])
-    append(folder / "starts.jsonl", {"at": time.time()})
+    append(folder / "starts.jsonl", {"at": time.time(), "parent": os.getppid()})
     starts = len((folder / "starts.jsonl").read_text().splitlines())
     if flags["seed"] == os.environ.get("FAKE_FAILS"):
         print("ConfigError: nothing works here")

@@ -19,7 +19,8 @@ from jaxcam.config import TrainConfig
 from jaxcam.errors import ConfigError
 from jaxcam.fields import cli
 from jaxcam.grid import progress_of, read_grid
-from jaxcam.jobs import Here, Submitit
+from jaxcam.jobs import Here, Job, Submitit
+from jaxcam.rundir import read_jsonl
 
 FAKE = Path(__file__).with_name("fake_jaxcam.py")
 GRIDS = Path(__file__).parents[1] / "grids"
@@ -56,8 +57,7 @@ def run(plan, executor=None, jobs=2, retries=2):
 
 
 def starts(entry):
-    file = entry.run.folder / "starts.jsonl"
-    return len(file.read_text().splitlines()) if file.is_file() else 0
+    return len(read_jsonl(entry.run.folder / "starts.jsonl"))
 
 
 def test_a_grid_is_every_combination_once(write):
@@ -172,6 +172,45 @@ def test_submitit_runs_the_same_jobs_and_finds_them_again(write, tmp_path):
     assert len(list((tmp_path / "submitit").glob("*.job"))) == 4
     with pytest.raises(ConfigError, match=r"slurm: .*timeout_mins"):
         executor({"timeout_mins": 3})
+
+
+@needs_submitit
+@pytest.mark.filterwarnings("default")
+def test_a_job_that_an_earlier_process_queued_is_found_again(tmp_path):
+    class Queued:
+        def __init__(self, folder, number):
+            self.number = number
+
+        def done(self):
+            return self.number == "8"
+
+    executor = Submitit("local", tmp_path, {})
+    executor._kind = Queued
+    (tmp_path / "a.job").write_text("7")
+    (tmp_path / "b.job").write_text("8")
+    job = Job([[sys.executable, "-c", ""]], tmp_path / "log")
+    assert executor.start("a", job).number == "7"
+    assert executor.start("b", job).result() == 0  # that one had ended
+
+
+@needs_submitit
+@pytest.mark.filterwarnings("default")
+def test_a_preempted_job_saves_and_is_queued_again(write, tmp_path, monkeypatch):
+    monkeypatch.setenv("FAKE_SECONDS", "0.3")
+    run = read_grid(write()).runs[0]
+    job = Job(run.commands(), tmp_path / "log")
+    first = Submitit("local", tmp_path / "submitit", {}).start(run.name, job)
+    deadline = time.monotonic() + 30
+    while not (run.folder / "metrics.jsonl").exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    (start,) = read_jsonl(run.folder / "starts.jsonl")
+    os.kill(start["parent"], signal.SIGUSR2)  # what a cluster does before it takes the machine
+    assert first.result() == 0
+    assert progress_of(run).done
+    trained = [row["step"] for row in read_jsonl(run.folder / "metrics.jsonl")]
+    assert trained == [10, 20, 30, 40]  # the second start went on, nothing was done twice
+    assert len(read_jsonl(run.folder / "starts.jsonl")) == 2
 
 
 def test_the_table_has_room_for_what_matters(write):
