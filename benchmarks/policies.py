@@ -8,6 +8,9 @@
    PATH is the Python of an environment for `benchmarks/policies_torch.py`.
 
 Everything is measured in turn, round by round; medians count, and ratios are taken within a round.
+`cpu` is the time of all cores, which tells more than the clock does on a machine that has other
+work. Of sampling, `bound` is the least ratio that is to be had: what the arithmetic of 50 takes at
+the rate of a large matrix product, measured in the same rounds.
 """
 
 import argparse
@@ -17,7 +20,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,12 +28,15 @@ import numpy as np
 
 from jaxcam.config import TrainConfig, resolve
 from jaxcam.models import FAMILIES, Policy, PolicySpec, make_policy
-from jaxcam.models.policy import blank_stats
+from jaxcam.models.diffusion import Diffusion
+from jaxcam.models.policy import blank_stats, pure
 from jaxcam.state import init_state, make_optimizer, make_train_chunk
 
 OBSERVATIONS = 50
 BATCH = 8
 ACTION, PROPRIO = 7, 9
+SQUARE = 1024
+"""Side of the matrices whose product tells what the machine can do."""
 
 
 def make(kind: str, preset: str, **changes: Any) -> tuple[Policy, TrainConfig]:
@@ -59,41 +65,84 @@ def make_batch(policy: Policy, count: int) -> dict[str, np.ndarray]:
     }
 
 
-def timed(function: Callable[[], Any]) -> float:
+class Times(NamedTuple):
+    """Seconds that something took."""
+
+    clock: float
+    cpu: float
+    """Of all cores together."""
+
+
+def timed(function: Callable[[], Any]) -> Times:
     """Seconds a call takes."""
-    began = time.perf_counter()
+    clock, cpu = time.perf_counter(), time.process_time()
     jax.block_until_ready(function())
-    return time.perf_counter() - began
+    return Times(time.perf_counter() - clock, time.process_time() - cpu)
+
+
+def compared(ours: list[Times], theirs: list[Times]) -> dict[str, float]:
+    """Medians of the ratios of two things measured in turn."""
+    clock, cpu = np.median(np.array(ours) / np.array(theirs), 0)
+    return {"ratio": float(clock), "cpu_ratio": float(cpu)}
+
+
+def milliseconds(name: str, times: list[Times]) -> dict[str, float]:
+    """Medians."""
+    clock, cpu = np.median(times, 0) * 1e3
+    return {f"{name}_ms": float(clock), f"{name}_cpu_ms": float(cpu)}
+
+
+def flops(policy: Policy, batch: dict[str, np.ndarray]) -> float:
+    """Operations of a call: of the encoder once, of the U-Net every step."""
+    config = policy.config
+    init, network = pure(lambda rngs: Diffusion(config, policy.spec, rngs=rngs))
+    params = jax.eval_shape(init, jax.random.key(0))
+    obs = {k: jnp.asarray(v)[:, None] for k, v in batch.items()}
+
+    def condition(params: Any) -> Any:
+        return network(params).condition(obs, obs["proprio"])
+
+    def predict(params: Any, told: Any) -> Any:
+        x = jnp.asarray(batch["action"])
+        return network(params).unet(x, jnp.zeros(len(x), int), *told)
+
+    told = jax.eval_shape(condition, params)
+    programs = (jax.jit(condition).lower(params), jax.jit(predict).lower(params, told))
+    encoder, unet = ((p.cost_analysis() or {})["flops"] for p in programs)
+    return encoder + config.sample_steps * unet
 
 
 def sampling(rounds: int) -> dict[str, float]:
-    """Milliseconds of 50 observations at once and one by one, and the ratio."""
+    """50 observations at once and one by one, and the ratio."""
     policy, _ = make("diffusion", "laptop")
     params, act = policy.init(jax.random.key(0)), jax.jit(policy.act)
     names = ("image", "K", "base_from_camera", "proprio")
     batch = make_batch(policy, OBSERVATIONS)
     many = {name: batch[name] for name in names}
     single = [{k: v[i : i + 1] for k, v in many.items()} for i in range(OBSERVATIONS)]
-    key = jax.random.key(1)
-
-    def together() -> jax.Array:
-        return act(params, many, key)
-
-    def one_by_one() -> list[jax.Array]:
-        return [jax.block_until_ready(act(params, one, key)) for one in single]
-
-    timed(together)
-    timed(one_by_one)
-    times = np.array([(timed(together), timed(one_by_one)) for _ in range(rounds)])
+    key, square, multiply = jax.random.key(1), jnp.ones((SQUARE, SQUARE)), jax.jit(jnp.matmul)
+    functions = (
+        lambda: act(params, many, key),
+        lambda: [jax.block_until_ready(act(params, one, key)) for one in single],
+        lambda: multiply(square, square),
+    )
+    for function in functions:
+        timed(function)
+    times = [[timed(function) for function in functions] for _ in range(rounds)]
+    together, one_by_one, product = ([row[i] for row in times] for i in range(3))
+    work = flops(policy, batch)
+    best = min(t.clock for t in product) * work / (2 * SQUARE**3)
     return {
-        "together_ms": float(np.median(times[:, 0]) * 1e3),
-        "one_by_one_ms": float(np.median(times[:, 1]) * 1e3),
-        "ratio": float(np.median(times[:, 0] / times[:, 1])),
+        **milliseconds("together", together),
+        **milliseconds("one_by_one", one_by_one),
+        **compared(together, one_by_one),
+        "gflop": work / 1e9,
+        "bound": best / min(t.clock for t in one_by_one),
     }
 
 
-def train_step(kind: str) -> Callable[[], float]:
-    """A function that makes one update and returns its seconds; compiled already."""
+def train_step(kind: str) -> Callable[[], Times]:
+    """A function that makes one update; compiled already."""
     # ACT without the paper's ray encoder, which LeRobot does not have.
     plain = {"conditioning": "none", "twin_of": "none"} if kind == "act" else {}
     policy, config = make(kind, "paper", compute_dtype="float32", **plain)
@@ -102,14 +151,12 @@ def train_step(kind: str) -> Callable[[], float]:
     update = make_train_chunk(policy.loss, tx)
     batch = {k: jnp.asarray(v[None]) for k, v in make_batch(policy, BATCH).items()}
 
-    def step() -> float:
-        began = time.perf_counter()
+    def step() -> Any:
         state[0], metrics = update(state[0], batch, root)
-        jax.block_until_ready(metrics)
-        return time.perf_counter() - began
+        return metrics
 
-    step()
-    return step
+    timed(step)
+    return lambda: timed(step)
 
 
 class Torch:
@@ -124,8 +171,8 @@ class Torch:
             text=True,
         )
 
-    def __call__(self) -> float:
-        """Seconds of one update."""
+    def __call__(self) -> Times:
+        """Times of one update."""
         assert self._process.stdin
         assert self._process.stdout
         self._process.stdin.write("step\n")
@@ -133,7 +180,7 @@ class Torch:
         line = self._process.stdout.readline()
         if not line:
             raise SystemExit("PyTorch's process ended; its error is above.")
-        return float(line)
+        return Times(*map(float, line.split()))
 
     def close(self) -> None:
         """End the process."""
@@ -143,19 +190,16 @@ class Torch:
 
 
 def training(kind: str, python: str | None, rounds: int) -> dict[str, float]:
-    """Milliseconds of a train step here, and, if asked for, in PyTorch, and the ratio."""
+    """A train step here, and, if asked for, in PyTorch, and the ratio."""
     ours = train_step(kind)
     if python is None:
-        return {"jax_ms": float(np.median([ours() for _ in range(rounds)]) * 1e3)}
+        return milliseconds("jax", [ours() for _ in range(rounds)])
     theirs = Torch(python, kind)
     theirs()
-    times = np.array([(ours(), theirs()) for _ in range(rounds)])
+    times = [(ours(), theirs()) for _ in range(rounds)]
     theirs.close()
-    return {
-        "jax_ms": float(np.median(times[:, 0]) * 1e3),
-        "torch_ms": float(np.median(times[:, 1]) * 1e3),
-        "ratio": float(np.median(times[:, 0] / times[:, 1])),
-    }
+    here, there = ([pair[i] for pair in times] for i in range(2))
+    return {**milliseconds("jax", here), **milliseconds("torch", there), **compared(here, there)}
 
 
 def main() -> None:
