@@ -120,7 +120,7 @@ def success_rate(rows: Iterable[Row]) -> Estimate:
         return Estimate(float("nan"), 0.0, 1.0, 0, 0, excluded)
     sums = np.array([sum(outcomes) for outcomes in groups.values()], float)
     sizes = np.array([len(outcomes) for outcomes in groups.values()], float)
-    low, high = _bootstrap(sums, sizes, floor=0.0)
+    low, high = _bootstrap(sums, sizes, 0.0, 1.0)
     total = int(sizes.sum())
     return Estimate(float(sums.sum() / total), low, high, total, len(groups), excluded)
 
@@ -146,7 +146,9 @@ def paired_difference(rows_a: Iterable[Row], rows_b: Iterable[Row]) -> Differenc
     if not shared:
         return Difference(float("nan"), -1.0, 1.0, 1.0, 0, unpaired, excluded)
     deltas = np.array([np.mean(groups_a[pair]) - np.mean(groups_b[pair]) for pair in shared])
-    low, high = _bootstrap(deltas, np.ones_like(deltas), floor=-1.0)
+    # Pairs that were not drawn may differ as much as any that was; where none differs, by all.
+    seen = (deltas.min(), deltas.max()) if np.ptp(deltas) else (-1.0, 1.0)
+    low, high = _bootstrap(deltas, np.ones_like(deltas), *seen)
     p_value = _sign_flip_p(deltas)
     return Difference(float(deltas.mean()), low, high, p_value, len(shared), unpaired, excluded)
 
@@ -210,8 +212,13 @@ def _by_pair(rows: Iterable[Row]) -> tuple[dict[Hashable, list[float]], int]:
     return groups, excluded
 
 
-def _bootstrap(sums: np.ndarray, sizes: np.ndarray, floor: float) -> tuple[float, float]:
-    """Percentile interval of sum(sums) / sum(sizes), resampling clusters; values in [floor, 1]."""
+def _bootstrap(
+    sums: np.ndarray, sizes: np.ndarray, least: float, most: float
+) -> tuple[float, float]:
+    """Percentile interval of sum(sums) / sum(sizes), resampling clusters.
+
+    It allows for clusters of the values `least` and `most` that exist and have not been drawn.
+    """
     count = len(sums)
     value = float(sums.sum() / sizes.sum())
     rng = np.random.default_rng(0)
@@ -223,7 +230,7 @@ def _bootstrap(sums: np.ndarray, sizes: np.ndarray, floor: float) -> tuple[float
     tail = (1 - LEVEL) / 2
     low, high = np.quantile(np.concatenate(estimates), [tail, 1 - tail])
     missed = wilson(0, count)[1]  # share of clusters that may exist and never have been drawn
-    worst, best = value - missed * (value - floor), value + missed * (1 - value)
+    worst, best = value - missed * (value - least), value + missed * (most - value)
     return min(float(low), worst), max(float(high), best)
 
 

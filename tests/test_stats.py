@@ -145,7 +145,7 @@ def clustered_outcomes(rng, pairs, seeds):
 
 
 @pytest.mark.usefixtures("few_resamples")
-@pytest.mark.parametrize("seeds", [1, 6])
+@pytest.mark.parametrize("seeds", [1, 6, 30])  # 30: 3 seeds with 10 checkpoints each
 def test_interval_covers_the_truth(seeds):
     rng = np.random.default_rng(7)
     estimates = [success_rate(rows_of(clustered_outcomes(rng, 60, seeds))) for _ in range(500)]
@@ -154,6 +154,24 @@ def test_interval_covers_the_truth(seeds):
     if seeds > 1:  # pretending that rollouts are independent must be visibly wrong here
         naive = [wilson(e.value * e.n, e.n) for e in estimates]
         assert np.mean([low <= 0.4 <= high for low, high in naive]) < 0.85
+
+
+@pytest.mark.usefixtures("few_resamples")
+@pytest.mark.parametrize(("rollouts", "gain"), [(1, 0.0), (3, 0.1), (30, 0.0), (30, 0.1)])
+def test_difference_interval_covers_the_truth_and_is_no_wider_than_it_must(rollouts, gain):
+    rng = np.random.default_rng(3)
+    truth = gain * (1 - 0.4)
+    found = []
+    for _ in range(400):
+        difficulty = rng.beta(0.8, 1.2, (50, 1))
+        b = rng.random((50, rollouts)) < difficulty
+        a = rng.random((50, rollouts)) < difficulty + gain * (1 - difficulty)
+        found.append(paired_difference(rows_of(a), rows_of(b)))
+    covered = np.mean([d.low - 1e-9 <= truth <= d.high + 1e-9 for d in found])
+    assert 0.91 <= covered <= 0.985
+    width = np.mean([d.high - d.low for d in found])
+    spread = np.std([d.value for d in found])
+    assert width == pytest.approx(2 * 1.96 * spread, rel=0.15)
 
 
 @pytest.mark.usefixtures("few_resamples")
