@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxcam.rays import sapien_from_opencv
+from jaxcam.sim.maniskill.machine import device
 from jaxcam.sim.maniskill.memory import PIXELS, ROWS
 from jaxcam.sim.maniskill.pool import Pool, pool_of
 from jaxcam.sim.maniskill.task import SapienWorld
@@ -17,8 +18,8 @@ RGB_BYTES, LAYER_BYTES = 3, 11
 
 
 def look() -> str:
-    """What makes one painter's pictures differ from another's."""
-    return f"sapien{version('sapien')}-{SHADER}"
+    """What makes one painter's pictures differ from another's: drivers differ in last digits."""
+    return f"sapien{version('sapien')}-{SHADER}-{device().kind}"
 
 
 class Layers(NamedTuple):
