@@ -67,8 +67,10 @@ def import_trajectories(config: ManiskillConfig, console: Console | None = None)
     Raises:
         DatasetError: if the file is not ManiSkill's, is of another task or robot, has no
             environment states, or if the dataset exists.
+        SimError: if this machine cannot run ManiSkill.
     """
     source = read_source(config)
+    source.task.require()
     out = Path(
         config.out or f"data/{source.task.name}-{config.scene}-{Path(config.file).stem}.hdf5"
     )
@@ -88,6 +90,9 @@ def import_trajectories(config: ManiskillConfig, console: Console | None = None)
             else:
                 dropped[name] = why_failed(source, file, name)
             advance()
+    if not demos:
+        name, why = next(iter(dropped.items()))
+        raise DatasetError(f"{source.path}: no trajectory succeeds. The first, {name}: {why}.")
     with exclusive(out, console):
         written = _write(source, config, out, list(demos.values()))
     return Imported(written, list(demos), dropped)

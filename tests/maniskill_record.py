@@ -1,7 +1,8 @@
 """Records trajectories with ManiSkill's own `RecordEpisode`; run as a program, with PyTorch.
 
-`python maniskill_record.py ENV MODE FOLDER SEED...` writes FOLDER/trajectory.h5 and .json: one
-episode a seed, shown by the expert of our task; a seed below zero stands still.
+`python maniskill_record.py FOLDER NAME=ENV,MODE,SEED...` writes FOLDER/NAME.h5 and .json, one
+episode a seed shown by the expert of our task; a seed below zero stands still. FOLDER/targets.npz
+gets what ManiSkill's controllers make of actions in each control mode.
 """
 
 import sys
@@ -14,8 +15,9 @@ from mani_skill.utils.geometry.rotation_conversions import matrix_to_euler_angle
 from mani_skill.utils.wrappers import RecordEpisode
 
 import jaxcam.sim.maniskill.envs  # noqa: F401  (registers ours)
+from jaxcam.maniskill_actions import SIZES
 from jaxcam.maniskill_files import ENVIRONMENTS
-from jaxcam.rotations import matrix_from_quaternion
+from jaxcam.rotations import matrix_from_quaternion, matrix_from_rotvec
 from jaxcam.sim import make_task
 from jaxcam.sim.engine import Start
 from jaxcam.sim.maniskill import kinematics
@@ -73,16 +75,53 @@ def _euler(rotation: np.ndarray) -> np.ndarray:
     return matrix_to_euler_angles(torch.tensor(rotation), "XYZ").numpy()
 
 
-def main() -> None:
-    name, mode, folder, *seeds = sys.argv[1:]
-    env = gymnasium.make(
+def controller_targets() -> dict[str, np.ndarray]:
+    """Actions, joint angles and targets (poses, or joint angles) of each mode, by `mode/what`."""
+    found, rng = {}, np.random.default_rng(0)
+    env = make("PushCube-v1", "pd_ee_pose")
+    modes = [m for m in env.unwrapped.agent.supported_control_modes if m in SIZES]
+    for mode in modes:
+        env = make("PushCube-v1", mode)
+        inner = env.unwrapped
+        env.reset(seed=5)
+        rows: dict[str, list[np.ndarray]] = {"actions": [], "joints": [], "targets": []}
+        for _ in range(6):
+            joints = inner.agent.robot.get_qpos()[0, :7].numpy().astype(float)
+            position, rotation, _ = (x[0] for x in kinematics.forward(joints[None]))
+            action = rng.uniform(-1.2, 1.2, SIZES[mode])
+            if mode == "pd_joint_pos":
+                action[:7] = joints + 0.05 * action[:7]
+            elif mode == "pd_ee_pose":
+                turn = matrix_from_rotvec(0.05 * action[3:6])
+                action[:6] = *(position + 0.05 * action[:3]), *_euler(turn @ rotation)
+            env.step(action.astype(np.float32))
+            arm = inner.agent.controller.controllers["arm"]
+            target = arm._target_qpos if "joint" in mode else arm._target_pose.raw_pose
+            rows["actions"].append(action.astype(np.float32))
+            rows["joints"].append(joints)
+            rows["targets"].append(target[0].numpy().astype(float))
+        rows["joints"].append(inner.agent.robot.get_qpos()[0, :7].numpy().astype(float))
+        found |= {f"{mode}/{what}": np.stack(values) for what, values in rows.items()}
+    return found
+
+
+def make(name: str, mode: str) -> Any:
+    return gymnasium.make(
         name, obs_mode="none", control_mode=mode, render_backend="none", sim_backend="physx_cpu"
     )
-    env = RecordEpisode(env, folder, trajectory_name="trajectory", save_video=False)
-    show = Show(env, mode)
-    for seed in map(int, seeds):
-        show.episode(seed)
-    env.close()
+
+
+def main() -> None:
+    folder, *cases = sys.argv[1:]
+    for case in cases:
+        name, _, told = case.partition("=")
+        env, mode, *seeds = told.split(",")
+        recorded = RecordEpisode(make(env, mode), folder, trajectory_name=name, save_video=False)
+        show = Show(recorded, mode)
+        for seed in map(int, seeds):
+            show.episode(seed)
+        recorded.close()
+    np.savez(f"{folder}/targets.npz", **controller_targets())
 
 
 if __name__ == "__main__":
