@@ -200,7 +200,7 @@ def test_a_control_step_is_maniskills_own(joint_engine, push, world, tmp_path):
         env=machine.environment(), capture_output=True,
     )  # fmt: skip
     state, rows = joint_engine.reset(start), []
-    for target in targets:
+    for target in targets:  # fingers open: in touch, their order would matter
         state = joint_engine.step(state, Command(target[None], -np.ones(1)))
         rows.append(np.concatenate([state.qpos[0], state.qvel[0]]))
     np.testing.assert_allclose(rows, np.load(tmp_path / "found.npy"), atol=1e-4)
@@ -357,9 +357,9 @@ def test_check_tells_what_there_is_and_how_to_get_the_rest(monkeypatch, capsys):
     from jaxcam.check import main
 
     monkeypatch.setattr(sys, "argv", ["check", "--env"])
-    monkeypatch.setattr(machine, "missing_packages", lambda: ["mani-skill", "sapien"])
+    monkeypatch.setattr(machine, "missing_packages", lambda: list(machine.PACKAGES.values()))
     main()
     told = capsys.readouterr().out
     assert "extra maniskill: pip install 'jaxcam[maniskill]'" in told
     assert "lift, pick_place_can, square" in told
-    assert "without mani-skill, sapien" in told
+    assert "without mani-skill, sapien, torch" in told

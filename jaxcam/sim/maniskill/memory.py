@@ -39,7 +39,7 @@ class Memory:
     K: np.ndarray
     """Asked intrinsics [ROWS, 3, 3]."""
     camera: np.ndarray
-    """Asked camera poses, SAPIEN's axes [ROWS, 4, 4]."""
+    """Asked camera poses, OpenCV axes [ROWS, 4, 4]."""
     qpos_now: np.ndarray
     """Reached [ROWS, nq]."""
     qvel_now: np.ndarray

@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxcam.rays import sapien_from_opencv
 from jaxcam.sim.maniskill.machine import device
 from jaxcam.sim.maniskill.memory import PIXELS, ROWS
 from jaxcam.sim.maniskill.pool import Pool, pool_of
@@ -71,7 +70,6 @@ class SapienPainter:
         )
         room = PIXELS // ((LAYER_BYTES if layers else RGB_BYTES) * height * width)
         room = max(1, min(ROWS, room))
-        cameras = np.asarray(sapien_from_opencv(np.asarray(view.world_from_camera, float)))
         children = self._pool.children(count)
         parts = np.array_split(np.arange(count), len(children))
         for first in range(0, max(len(part) for part in parts), room):
@@ -83,7 +81,7 @@ class SapienPainter:
             for child, rows in shares:
                 memory, n = child.memory, len(rows)
                 memory.qpos[:n], memory.fixtures[:n] = view.qpos[rows], view.fixtures[rows]
-                memory.K[:n], memory.camera[:n] = view.K[rows], cameras[rows]
+                memory.K[:n], memory.camera[:n] = view.K[rows], view.world_from_camera[rows]
             names = self._pool.each(
                 [(child, ("draw", len(rows), height, width, layers)) for child, rows in shares]
             )

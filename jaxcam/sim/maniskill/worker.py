@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxcam.rays import sapien_from_opencv
 from jaxcam.sim.engine import Start
 from jaxcam.sim.maniskill.memory import JOINTS, Memory, Sizes, open_memory
 
@@ -240,10 +241,11 @@ class _Studio:
             self._size = (height, width)
         camera = self._camera
         camera.set_perspective_parameters(NEAR, FAR, K[0, 0], K[1, 1], K[0, 2], K[1, 2], K[0, 1])
-        self._mount.set_pose(sapien.Pose(pose))
+        self._mount.set_pose(sapien.Pose(np.asarray(sapien_from_opencv(pose), float)))
         self._scene.update_render()
         wrong = abs(camera.get_intrinsic_matrix() - K).max()
-        wrong = max(wrong, abs(self._mount.pose.to_transformation_matrix() - pose).max())
+        camera_from_world = np.asarray(camera.get_extrinsic_matrix(), float)[:3]
+        wrong = max(wrong, abs(camera_from_world @ pose - np.eye(4)[:3]).max())
         if not wrong < CAMERA_ERROR:
             raise ValueError(
                 f"SAPIEN's camera is not the one that was asked: it differs by {wrong:g}.\n"
