@@ -30,8 +30,8 @@ class EvaluateConfig:
     width: int = 50
     """Rollouts simulated at once; rows of different widths are not mixed."""
     engine: Annotated[str, one_of("engine")] = "auto"
-    """Physics; auto is mjx-warp on an accelerator and native without. Rows of different engines are
-    not mixed."""
+    """Physics; auto is mjx-warp on an accelerator and native without, and sapien for the tasks of
+    ManiSkill, which know no other. Rows of different engines are not mixed."""
     ensemble: Annotated[float | None, tyro.conf.arg(metavar="FLOAT"), default("as in training")] = (
         None
     )
