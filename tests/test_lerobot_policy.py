@@ -102,6 +102,18 @@ def test_settings_there_and_back(name):
     assert back == replace(settings, **floors)
 
 
+def test_the_original_act_has_a_place_there_but_for_a_head_that_nobody_reads(tmp_path):
+    inputs = inputs_of(settings_for("act", preset="original"))
+    assert "is_pad" in inputs.params["head"]
+    export(inputs, tmp_path / "out")
+    adopt(tmp_path / "out", TrainConfig(run_dir=str(tmp_path / "run")))
+    back = load_policy_inputs(tmp_path / "run")
+    left = {k: v for k, v in inputs.params["head"].items() if k != "is_pad"}
+    jax.tree.map(np.testing.assert_array_equal, back.params, inputs.params | {"head": left})
+    for got, expected in zip(scaled(back), scaled(inputs), strict=True):
+        np.testing.assert_allclose(got, expected, rtol=1e-6)
+
+
 @pytest.mark.parametrize(("settings", "why"), [
     (with_conditioning(settings_for("act"), "late"), "network is late, not none"),
     (settings_for("act", image_positions="learned"), "image_positions is learned, not sine"),
