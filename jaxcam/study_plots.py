@@ -202,7 +202,8 @@ def _title(axes: Axes, title: str) -> None:
 def _twin_name(arm: Arm) -> str:
     s = arm.settings
     label = arm.label("views", "n", "m").removeprefix("paper preset").removeprefix(", ")
-    return ", ".join(filter(None, [policy_title(s["policy"]), task_title(s["task"]), label]))
+    words = filter(None, [policy_title(s["policy"]), task_title(s["task"]), label])
+    return textwrap.fill(", ".join(words), 32)
 
 
 def _rates(axes: Axes) -> None:

@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import math
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import zip_longest
 from typing import Any
@@ -209,7 +210,8 @@ def _lines(arms: Sequence[Arm], policy: str, conditioned: bool) -> list[tuple[st
             found = {a.settings["task"]: a for a in line if a is not None}
             first = next(iter(found.values()))
             way = [first.settings["conditioning"]] if conditioned else []
-            source = "\n".join(["ours", *way, first.label(*_OF_TASK), *_steps([*found.values()])])
+            words = ["ours", *way, first.label(*_OF_TASK), *_steps([*found.values()])]
+            source = "\n".join(textwrap.fill(line, 26) for line in words)
             lines.append((source, found))
     return lines
 
@@ -219,7 +221,7 @@ def _steps(arms: Sequence[Arm]) -> list[str]:
     if not any("steps" in arm.changes for arm in arms):
         return []
     counts = sorted({arm.settings["steps"] for arm in arms})
-    return [f"{' or '.join(f'{count:,}' for count in counts)}\nupdates"]
+    return [f"{' or '.join(f'{count:,}' for count in counts)} updates"]
 
 
 def _task(arm: Arm) -> str:
