@@ -59,6 +59,8 @@ class FirmPanda(Panda):
 class JaxcamEnv(BaseEnv):
     """What the three environments share; to be mixed in before one of ManiSkill's.
 
+    Rewards are ManiSkill's, made for its own starts.
+
     Args:
         scene: `fixed` or `randomized`, as in `jaxcam.sim.task.Task.scene`.
         resolution: height and width (pixels) of the task's cameras, `view_0` and so on.
@@ -223,6 +225,11 @@ class JaxcamRollBallEnv(JaxcamEnv, RollBallEnv):
 
     task_name = "roll_ball"
     table_stretch = 2.0
+
+    def _initialize_episode(self, env_idx: torch.Tensor, options: dict[str, Any]) -> None:
+        super()._initialize_episode(env_idx, options)
+        self.reached_status = self.reached_status.to(self.device)  # ManiSkill's reward needs it
+        self.reached_status[env_idx] = 0.0
 
 
 def _table(fixture: np.ndarray) -> np.ndarray:
