@@ -155,7 +155,10 @@ def test_a_signal_lets_the_runs_save(write, monkeypatch):
     threading.Thread(target=interrupt, daemon=True).start()
     with pytest.raises(KeyboardInterrupt):
         run(plan, jobs=1)
-    assert 0 < progress_of(plan.runs[0]).step < 40
+    saved = progress_of(plan.runs[0]).step
+    assert 0 < saved < 40
+    time.sleep(0.7)
+    assert progress_of(plan.runs[0]).step == saved  # it has ended
     assert not plan.runs[1].folder.exists()  # what waited was not started
     monkeypatch.setenv("FAKE_SECONDS", "0")
     entries, _ = run(plan)
