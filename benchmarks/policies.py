@@ -1,6 +1,6 @@
 """Policies: many observations in one call against one by one, and train steps against PyTorch.
 
-    python benchmarks/policies.py [--torch-python PATH] [--rounds 5] [--json]
+    python benchmarks/policies.py [--torch-python PATH [--torch-threads 1]] [--rounds 5] [--json]
 
 1. Diffusion Policy's laptop preset, 10 steps of DDIM: 50 observations in one call and 50 calls.
 2. One train step (loss, gradients, clipping, AdamW) in float32 of ACT `paper` (ResNet-18 at 256
@@ -9,12 +9,14 @@
 
 Everything is measured in turn, round by round; medians count, and ratios are taken within a round.
 `cpu` is the time of all cores, which tells more than the clock does on a machine that has other
-work. Of sampling, `bound` is the least ratio that is to be had: what the arithmetic of 50 takes at
+work; threads of PyTorch that wait for each other take it too, so compare it with --torch-threads 1.
+Of sampling, `bound` is the least ratio that is to be had: what the arithmetic of 50 takes at
 the rate of a large matrix product, measured in the same rounds.
 """
 
 import argparse
 import json
+import os
 import subprocess
 import time
 from collections.abc import Callable
@@ -162,13 +164,14 @@ def train_step(kind: str) -> Callable[[], Times]:
 class Torch:
     """The same step in a process of another Python, which waits while others are measured."""
 
-    def __init__(self, python: str, kind: str) -> None:
+    def __init__(self, python: str, kind: str, threads: int | None) -> None:
         script = Path(__file__).with_name("policies_torch.py")
         self._process = subprocess.Popen(
             [python, str(script), kind, str(BATCH)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
+            env=os.environ | ({"OMP_NUM_THREADS": str(threads)} if threads else {}),
         )
 
     def __call__(self) -> Times:
@@ -189,12 +192,14 @@ class Torch:
         self._process.wait()
 
 
-def training(kind: str, python: str | None, rounds: int) -> dict[str, float]:
+def training(
+    kind: str, python: str | None, rounds: int, threads: int | None = None
+) -> dict[str, float]:
     """A train step here, and, if asked for, in PyTorch, and the ratio."""
     ours = train_step(kind)
     if python is None:
         return milliseconds("jax", [ours() for _ in range(rounds)])
-    theirs = Torch(python, kind)
+    theirs = Torch(python, kind, threads)
     theirs()
     times = [(ours(), theirs()) for _ in range(rounds)]
     theirs.close()
@@ -206,6 +211,7 @@ def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--torch-python", help="Python with PyTorch, see policies_torch.py")
+    parser.add_argument("--torch-threads", type=int, help="its threads; one waits for no other")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--only", choices=("sampling", "act", "diffusion"))
     parser.add_argument("--json", action="store_true")
@@ -215,7 +221,7 @@ def main() -> None:
         found["sampling"] = sampling(args.rounds)
     for kind in ("act", "diffusion"):
         if args.only in (None, kind):
-            found[kind] = training(kind, args.torch_python, args.rounds)
+            found[kind] = training(kind, args.torch_python, args.rounds, args.torch_threads)
     if args.json:
         print(json.dumps(found, indent=2))
         return
