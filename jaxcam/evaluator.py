@@ -85,9 +85,7 @@ class Evaluator:
         chosen = self.pairs(split, filled)
         cameras, digests = chosen.cameras, chosen.digests()
         act = Partial(_Acting(policy.act), params, jax.random.key(config.seed))
-        K = np.broadcast_to(
-            intrinsics(task.fovy_deg, config.resolution), (*cameras.shape[:2], 3, 3)
-        )
+        K = intrinsics(task.fovy_deg, config.resolution)
         ahead = spec.chunk - spec.obs_steps + 1  # steps that a chunk reaches into the future
         done = rollout(
             act,
@@ -96,7 +94,7 @@ class Evaluator:
             self.engine,
             self.renderer,
             chosen.start,
-            K,
+            np.broadcast_to(K, (*cameras.shape[:2], 3, 3)),
             cameras,
             config.action_space,
             ahead if self.ensemble else policy.execute,
