@@ -1,4 +1,4 @@
-"""Settings of the commands around training: report and check. Without JAX, so help is fast."""
+"""Settings of commands around training: evaluate, report, check, weights. Help needs no JAX."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -100,3 +100,30 @@ class SweepConfig:
         check_names(self)
         check_least(self, 1, "jobs")
         check_least(self, 0, "retries")
+
+
+@dataclass(frozen=True)
+class WeightsConfig:
+    """Look at a file of weights, or carry a policy to or from a LeRobot checkpoint."""
+
+    source: tyro.conf.Positional[str]
+    """A .safetensors, .pt or .pth file to look at; or a folder: of a run, with --export, or of a
+    LeRobot checkpoint, with --run-dir."""
+    export: str = ""
+    """Folder to write the run's policy to, as a LeRobot checkpoint."""
+    step: Annotated[int | None, tyro.conf.arg(metavar="INT"), default("newest whole one")] = None
+    """The run's checkpoint to export."""
+    run_dir: str = ""
+    """Folder of a run to make of the LeRobot checkpoint, for `python -m jaxcam.evaluate`."""
+    task: Annotated[str, one_of("task")] = "lift"
+    """What that policy was trained to do."""
+    scene: Annotated[str, one_of("scene")] = "randomized"
+    """In which scene."""
+    action_space: Annotated[str, one_of("action_space")] = "eef_delta"
+    """What its actions mean."""
+
+    def __post_init__(self) -> None:
+        check_types(self)
+        check_names(self)
+        if self.export and self.run_dir:
+            raise ConfigError("Give --export or --run-dir, not both.")

@@ -5,22 +5,26 @@ names tell. Loading is strict: every parameter that the file's kind covers must 
 shape, and everything in it must have a place here, or be known to have none.
 """
 
+from jaxcam.commands import WeightsConfig
+from jaxcam.fields import cli
+
+if __name__ == "__main__":
+    cli(WeightsConfig)  # --help and bad flags are answered before the slow imports
+
 import hashlib
 import json
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import tyro
 
 from jaxcam.config import TrainConfig
-from jaxcam.errors import CheckpointError, ConfigError, run_main
-from jaxcam.fields import check_names, check_types, cli, default, one_of
+from jaxcam.errors import CheckpointError, run_main
 from jaxcam.models.names import MAPS, NameMap, recognise
 from jaxcam.models.policy import Params
 from jaxcam.rundir import write_atomically
@@ -28,34 +32,6 @@ from jaxcam.torch_files import read_torch
 
 SHOWN = 5
 """Names of a kind that an error lists."""
-
-
-@dataclass(frozen=True)
-class WeightsConfig:
-    """Look at a file of weights, or carry a policy to or from a LeRobot checkpoint."""
-
-    source: tyro.conf.Positional[str]
-    """A .safetensors, .pt or .pth file to look at; or a folder: of a run, with --export, or of a
-    LeRobot checkpoint, with --run-dir."""
-    export: str = ""
-    """Folder to write the run's policy to, as a LeRobot checkpoint."""
-    step: Annotated[int | None, tyro.conf.arg(metavar="INT"), default("newest whole one")] = None
-    """The run's checkpoint to export."""
-    run_dir: str = ""
-    """Folder of a run to make of the LeRobot checkpoint, for `python -m jaxcam.evaluate`."""
-    task: Annotated[str, one_of("task")] = TrainConfig.task
-    """What that policy was trained to do."""
-    scene: Annotated[str, one_of("scene")] = TrainConfig.scene
-    """In which scene."""
-    action_space: Annotated[str, one_of("action_space")] = TrainConfig.action_space
-    """What its actions mean."""
-
-    def __post_init__(self) -> None:
-        """Refuse values of other types, unknown names, and both ways at once."""
-        check_types(self)
-        check_names(self)
-        if self.export and self.run_dir:
-            raise ConfigError("Give --export or --run-dir, not both.")
 
 
 @dataclass(frozen=True)
@@ -290,7 +266,7 @@ def show(weights: Weights) -> None:
 
 def main() -> None:
     """The command line."""
-    config = cli(WeightsConfig, prog="python -m jaxcam.weights")
+    config = cli(WeightsConfig)
     if not (config.export or config.run_dir):
         show(read_weights(config.source))
         return

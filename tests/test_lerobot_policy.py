@@ -11,6 +11,7 @@ import pytest
 from policy_inputs import start
 
 from jaxcam.checkpoint import PolicyInputs, load_policy_inputs
+from jaxcam.commands import WeightsConfig
 from jaxcam.config import TrainConfig, resolve
 from jaxcam.errors import CheckpointError
 from jaxcam.lerobot_policy import STATISTICS, adopt, export
@@ -19,7 +20,7 @@ from jaxcam.models.act import action_scale, proprio_scale
 from jaxcam.models.diffusion import middle_and_half, proprio_middle_and_half
 from jaxcam.models.fusion import with_conditioning
 from jaxcam.models.lerobot_layout import config_of, settings_of
-from jaxcam.weights import WeightsConfig, read_weights
+from jaxcam.weights import read_weights
 
 pytest.importorskip("safetensors")
 
