@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -15,9 +16,11 @@ from jaxcam.collect import FIRST_SEED
 from jaxcam.config import ManiskillConfig
 from jaxcam.demos import read_demos
 from jaxcam.errors import DatasetError
+from jaxcam.frames import load_frames
 from jaxcam.maniskill import import_trajectories
 from jaxcam.maniskill_actions import LEAD, SIZES, grip_targets, gripper_signs
 from jaxcam.maniskill_files import is_trajectories, open_file, read_demo, read_source, succeeds
+from jaxcam.rays import Camera
 from jaxcam.rotations import matrix_from_quaternion, rotvec_from_matrix
 from jaxcam.sim import make_task
 from jaxcam.sim.maniskill import kinematics
@@ -98,6 +101,25 @@ def test_states_cameras_and_targets_are_carried_over(recorded, tmp_path):
     assert np.linalg.norm(demo.fixtures[0, :2]) > 0.01  # the table is moved by us
     assert np.linalg.norm(np.diff(demo.actions[:, :3], axis=0), axis=-1).max() < 0.04
     assert np.linalg.norm(demo.actions[:, :3] - demo.eef_pos[1:], axis=-1).max() < 0.06
+
+
+def test_pictures_are_rendered_from_recorded_states(recorded, tmp_path):
+    """One from each camera of the schedule, the cube where the states say it is."""
+    demos = imported(recorded, "push", tmp_path / "out.hdf5").demos
+    side, demo = 48, demos.train[0]
+    frames = load_frames(demos, side)
+    camera = Camera.from_fovy(np.deg2rad(demos.header.fovy_deg), side, side, np.eye(4))
+    found = []
+    for row in (np.array(0), np.array(demo.length - 1)):
+        for slot, pose in enumerate(demos.header.world_from_camera[demo.cameras]):
+            picture = frames.pictures[frames.at(0, row, slot)].astype(int)
+            blue = picture[..., 2] - picture[..., :2].max(-1) > 60
+            uv, _ = replace(camera, world_from_camera=pose).project(demo.states[row, 10:13])
+            if blue.sum() > 8 and (abs(uv - side / 2) < side / 2 - 6).all():
+                middle = np.argwhere(blue).mean(0)[::-1] + 0.5
+                found.append(np.linalg.norm(middle - uv))
+    assert len(found) >= 2
+    assert max(found) < 4
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -15,7 +15,7 @@ from jaxcam.replay import replay_all
 from jaxcam.rotations import matrix_from_quaternion, matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.sim import make_engine, make_task
 from jaxcam.sim.engine import Start, State
-from jaxcam.sim.experts import CLOSE_BY, FAR, STEP, TURN, pushing_grip
+from jaxcam.sim.experts import CLOSE_BY, FAR, STEP, STRETCH, TURN, pushing_grip
 from jaxcam.sim.task import starts
 
 NAMES = ("push", "lift_upright", "roll_ball")
@@ -182,7 +182,7 @@ def test_a_pushing_hand_is_broadside_and_leans_where_it_must(distance):
         np.testing.assert_allclose(grip @ grip.T, np.eye(3), atol=1e-12)
         assert grip[:, 1] @ like[:, 1] > -0.1  # turned by a quarter at most
         lean = np.arcsin(grip[0, 2])  # the fingers point down and out, or down and back
-        expected = -4 * max(0, CLOSE_BY - distance) + 3 * max(0, distance - FAR)
+        expected = STRETCH * (max(0, distance - FAR) - max(0, CLOSE_BY - distance))
         assert lean == pytest.approx(expected)
         if not expected:
             assert abs(grip[:2, 1] @ along) < 1e-12

@@ -29,11 +29,10 @@ PATIENCE = 80
 LEVEL, LEAN = 0.58, 1.0
 """Distance (m) from the robot's base at which a hand points straight down, and the angle (rad) by
 which it leans away per metre beyond."""
-FAR, STRETCH = 0.72, 3.0
-"""Distance (m) beyond which it leans by so much (rad/m) more, or the elbow would be straight."""
-CLOSE_BY, SLANT = 0.36, 4.0
-"""Distance (m) within which its fingers point back at the robot by so much (rad/m) more, or the
-wrist would be at the end of its range."""
+CLOSE_BY, FAR, STRETCH = 0.36, 0.72, 3.0
+"""Distances (m) within which a pushing hand leans towards the robot by so much (rad/m), or the
+wrist would be at the end of its range, and beyond which any hand leans away by so much more, or the
+elbow would be straight."""
 INSIDE, SLOPE = 0.012, 4.0
 """Of a funnel: distance to the side (m) within which a hand goes all the way down, and the height
 of the wall over the distance from there."""
@@ -170,5 +169,5 @@ def pushing_grip(
     upright = np.stack([np.cross(across, down), across, down], -1)
     out = np.array([*(at - base)[:2], 0.0])
     distance = float(np.linalg.norm(out))
-    lean = STRETCH * max(0.0, distance - FAR) - SLANT * max(0.0, CLOSE_BY - distance)
+    lean = STRETCH * (max(0.0, distance - FAR) - max(0.0, CLOSE_BY - distance))
     return matrix_from_rotvec(lean * np.cross(down, out / distance)) @ upright
