@@ -48,9 +48,16 @@ def make_norm(kind: str, width: int, *, rngs: nnx.Rngs, dtype: DTypeLike) -> Nor
 
 
 def max_pool(x: jax.Array) -> jax.Array:
-    """3×3 maximum with stride 2, padded by -inf."""
-    padding = ((0, 0), (1, 1), (1, 1), (0, 0))
-    return jax.lax.reduce_window(x, -jnp.inf, jax.lax.max, (1, 3, 3, 1), (1, 2, 2, 1), padding)
+    """3×3 maximum with stride 2, padded by -inf.
+
+    It is written as maxima of slices: XLA's gradient of windows takes a CPU three times as long.
+    """
+    for axis in (1, 2):
+        pads = [(1, 1) if i == axis else (0, 0) for i in range(4)]
+        padded, size = jnp.pad(x, pads, constant_values=-jnp.inf), x.shape[axis]
+        a, b, c = (jax.lax.slice_in_dim(padded, i, i + size, stride=2, axis=axis) for i in range(3))
+        x = jnp.maximum(jnp.maximum(a, b), c)
+    return x
 
 
 class BasicBlock(nnx.Module):
