@@ -24,6 +24,7 @@ from policy_inputs import (
 from jaxcam.errors import ConfigError
 from jaxcam.models import ACT_PRESETS, PolicySpec, make_policy
 from jaxcam.models.fusion import with_conditioning
+from jaxcam.models.layers import dropout
 from jaxcam.models.transformer import sine_table
 
 
@@ -235,3 +236,11 @@ def test_what_does_not_go_together_is_refused():
         tiny("paper", "late", width=17)
     with pytest.raises(ConfigError, match="did you mean 'mlp'"):
         tiny("laptop", "late", head="mpl")
+
+
+def test_dropout_drops_its_share_and_keeps_the_mean():
+    x = jnp.ones((500, 1000))
+    y = dropout(x, 0.1, jax.random.key(0))
+    assert float((y == 0).mean()) == pytest.approx(0.1, abs=3e-3)
+    assert float(y.mean()) == pytest.approx(1, abs=3e-3)
+    assert dropout(x, 0.1, None) is x
