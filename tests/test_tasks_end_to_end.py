@@ -1,29 +1,43 @@
 """Every task from nothing to a report: demonstrations, pictures, training, evaluation.
 
-Lift's whole path, interrupted on the way, is in test_cli.py.
+Lift's whole path, interrupted on the way, is in test_cli.py. CI runs one scene and action space of
+most tasks, `pytest -m slow tests/test_tasks_end_to_end.py` all others.
 """
 
+import itertools
 import json
 
 import pytest
 
+from jaxcam.actions import ACTION_SPACES
 from jaxcam.config import TrainConfig, resolve
 from jaxcam.presets import NAMES
 from jaxcam.sim import make_task
+from jaxcam.sim.maniskill.task import ManiSkillTask
 from jaxcam.train import train
 
-SETTINGS = {
+USUAL = {
     "pick_place_can": ("fixed", "joint_abs"),
     "square": ("randomized", "eef_abs"),
+    "push": ("randomized", "eef_delta"),
+    "roll_ball": ("fixed", "joint_delta"),
 }
-"""Scene and action space by task, so that of either several are run."""
+"""Scene and action space that CI runs, so that of either several are. Lift Upright's episodes are
+long, and differ from the other two's in the task alone."""
 
 
-@pytest.mark.parametrize("name", sorted({*NAMES["task"]} - {"lift"}))
-def test_whole_path(name, tmp_path, monkeypatch):
+def cases():
+    for name, scene, space in itertools.product(NAMES["task"], NAMES["scene"], ACTION_SPACES):
+        is_usual = USUAL.get(name) == (scene, space)
+        yield pytest.param(name, scene, space, marks=() if is_usual else pytest.mark.slow)
+
+
+@pytest.mark.parametrize(("name", "scene", "space"), list(cases()))
+def test_whole_path(name, scene, space, tmp_path, monkeypatch, request):
     task = make_task(name)
+    if isinstance(task, ManiSkillTask):
+        request.getfixturevalue("maniskill")
     monkeypatch.setattr(type(task), "horizon", 160)  # enough for the expert, quick to fail
-    scene, space = SETTINGS.get(name, ("randomized", "eef_delta"))
     config = TrainConfig(
         task=name, scene=scene, action_space=space, demos=2, validation=1, steps=4, batch=4,
         resolution=24, pairs=2, log_every=2, eval_every=4, save_every=4,
