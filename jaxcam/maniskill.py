@@ -32,10 +32,10 @@ from jaxcam.maniskill_files import (
     open_file,
     read_demo,
     read_source,
-    succeeds,
     why_failed,
 )
 from jaxcam.progress import progress
+from jaxcam.recorded import succeeds
 from jaxcam.replay import GATE, play, tell
 from jaxcam.sim import make_engine, make_task
 

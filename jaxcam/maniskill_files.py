@@ -23,13 +23,11 @@ from jaxcam.demos import Demo
 from jaxcam.errors import DatasetError, JaxcamError, closest
 from jaxcam.maniskill_actions import grip_targets, gripper_signs
 from jaxcam.rotations import (
-    matrix_from_quaternion,
     quaternion_from_matrix,
     rotvec_from_matrix,
 )
 from jaxcam.sim import make_task
 from jaxcam.sim.controllers import CONTROL_HZ
-from jaxcam.sim.engine import Start, State
 from jaxcam.sim.maniskill import kinematics
 from jaxcam.sim.maniskill.task import JOINTS, ManiSkillTask, SapienWorld
 
@@ -195,22 +193,6 @@ def _convert(source: Source, states: Any, actions: np.ndarray, mode: str, seed: 
         fixtures=fixtures,
         cameras=np.empty(0, int),
     )
-
-
-def succeeds(demo: Demo, task: ManiSkillTask, scene: SapienWorld) -> bool:
-    """Whether the task is done in one of a demonstration's states."""
-    qpos, qvel = demo.states[:, 1 : 1 + scene.nq], demo.states[:, 1 + scene.nq :]
-    state = State(
-        qpos=qpos,
-        qvel=qvel,
-        warmstart=np.zeros((len(qpos), 0)),
-        closed=demo.gripper,
-        rest=qpos[:, scene.arm],
-        grip_position=demo.eef_pos,
-        grip_rotation=matrix_from_quaternion(np.roll(demo.eef_quat, 1, -1)),
-        ok=np.ones(len(qpos), bool),
-    )
-    return bool(task.success(scene, state, Start(qpos[0], demo.geom_size, demo.fixtures)).any())
 
 
 def why_failed(source: Source, file: Any, name: str) -> str:

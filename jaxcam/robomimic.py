@@ -27,6 +27,7 @@ from jaxcam.demos import Demo, Demos, DemoWriter, read_demos
 from jaxcam.errors import ConfigError, DatasetError, JaxcamError, closest, run_main
 from jaxcam.locks import exclusive
 from jaxcam.progress import progress
+from jaxcam.recorded import succeeds
 from jaxcam.replay import replay_all
 from jaxcam.robosuite_model import (
     Controller,
@@ -36,16 +37,13 @@ from jaxcam.robosuite_model import (
     read_origin,
 )
 from jaxcam.rotations import (
-    matrix_from_quaternion,
     quaternion_from_matrix,
     rotvec_from_matrix,
 )
 from jaxcam.sim import make_task
 from jaxcam.sim.controllers import CONTROL_HZ, gripper_command
-from jaxcam.sim.engine import Start, State
 from jaxcam.sim.scene import Scene
 from jaxcam.sim.task import Task
-from jaxcam.sim.world import World
 
 ENVIRONMENTS = {"Lift": "lift", "LiftRand": "lift"}
 """Our task of each of robosuite's environments that can be replayed."""
@@ -304,26 +302,10 @@ def success_of(demos: Demos, console: Console | None = None) -> tuple[np.ndarray
     task = make_task(demos.header.task)
     scene = task.scene(demos.header.scene)
     every = demos.train + demos.valid
-    recorded = np.array([_ever_succeeds(demo, task, scene) for demo in every])
+    recorded = np.array([succeeds(demo, task, scene) for demo in every])
     with progress(console, "replaying", len(every)) as advance:
         replayed = replay_all(every, task, scene, ("eef_abs",), tick=advance)["eef_abs"]
     return recorded, replayed
-
-
-def _ever_succeeds(demo: Demo, task: Task, scene: World) -> bool:
-    nq = scene.nq
-    qpos, qvel = demo.states[:, 1 : 1 + nq], demo.states[:, 1 + nq :]
-    state = State(
-        qpos=qpos,
-        qvel=qvel,
-        warmstart=np.zeros_like(qvel),
-        closed=demo.gripper,
-        rest=qpos[:, scene.arm],
-        grip_position=demo.eef_pos,
-        grip_rotation=matrix_from_quaternion(np.roll(demo.eef_quat, 1, -1)),
-        ok=np.ones(len(qpos), bool),
-    )
-    return bool(task.success(scene, state, Start(qpos[0], demo.geom_size, demo.fixtures)).any())
 
 
 def main() -> None:

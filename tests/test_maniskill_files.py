@@ -19,8 +19,9 @@ from jaxcam.errors import DatasetError
 from jaxcam.frames import load_frames
 from jaxcam.maniskill import import_trajectories
 from jaxcam.maniskill_actions import LEAD, SIZES, grip_targets, gripper_signs
-from jaxcam.maniskill_files import is_trajectories, open_file, read_demo, read_source, succeeds
+from jaxcam.maniskill_files import is_trajectories, open_file, read_demo, read_source
 from jaxcam.rays import Camera
+from jaxcam.recorded import succeeds
 from jaxcam.rotations import matrix_from_quaternion, rotvec_from_matrix
 from jaxcam.sim import make_task
 from jaxcam.sim.maniskill import kinematics
