@@ -21,7 +21,7 @@ from jaxcam.sim.scene import Scene
 _TOGETHER = 64
 """Worlds that go through a control step together, at most: few enough that their data stays in a
 core's cache, enough to share the fixed cost of a call."""
-_LEAST = 12
+_LEAST = 4
 """Worlds that a further thread is worth: with fewer, threads only wait for each other's calls."""
 _BAD = [
     int(mujoco.mjtWarning.mjWARN_BADQPOS),
