@@ -193,26 +193,19 @@ class ReplayConfig:
 
 
 @dataclass(frozen=True)
-class RobomimicConfig:
-    """Import robomimic's demonstrations of robosuite by replaying their states."""
+class ImportConfig:
+    """Import demonstrations of others by their states."""
 
     file: tyro.conf.Positional[str]
-    """HDF5 file in robomimic's layout, of robosuite 1.4 or 1.5."""
+    """File to import."""
     out: Annotated[
         str | None, tyro.conf.arg(metavar="STR"), default("data/TASK-SCENE-FILE.hdf5")
     ] = None
     """Dataset to write; train on it with `python -m jaxcam.train --dataset`."""
-    task: Annotated[str, one_of("task")] = "lift"
-    """What the robot has to do."""
     scene: Annotated[str, one_of("scene")] = "randomized"
     """Whether the table and the room that are seen stand still or move from episode to episode."""
-    actions: Annotated[str, one_of("actions")] = "commands"
-    """Where commands come from: the file's own OSC_POSE actions, or the poses that its states
-    reach, which every file has."""
-    filter_key: Annotated[str | None, tyro.conf.arg(metavar="STR"), default("every one")] = None
-    """Import only the demonstrations of this entry of the file's `mask`."""
     validation: Annotated[
-        int | None, tyro.conf.arg(metavar="INT"), default("those of mask/valid, else every tenth")
+        int | None, tyro.conf.arg(metavar="INT"), default("every tenth, or as the file says")
     ] = None
     """Validation demonstrations, the last ones."""
     n: Annotated[FromPreset[int], default("the task's")] = PRESET
@@ -229,30 +222,21 @@ class RobomimicConfig:
 
 
 @dataclass(frozen=True)
-class ManiskillConfig:
-    """Import ManiSkill's trajectories by their states, and replay them in each action space."""
+class RobomimicConfig(ImportConfig):
+    """Import robomimic's demonstrations of robosuite, an HDF5 file, by replaying their states."""
 
-    file: tyro.conf.Positional[str]
-    """HDF5 file of ManiSkill 3 with environment states, its JSON file beside it."""
-    out: Annotated[
-        str | None, tyro.conf.arg(metavar="STR"), default("data/TASK-SCENE-FILE.hdf5")
-    ] = None
-    """Dataset to write; train on it with `python -m jaxcam.train --dataset`."""
-    scene: Annotated[str, one_of("scene")] = "randomized"
-    """Whether the table that is seen stands still or moves from episode to episode."""
-    validation: Annotated[int | None, tyro.conf.arg(metavar="INT"), default("every tenth")] = None
-    """Validation demonstrations, the last ones."""
-    n: Annotated[FromPreset[int], default("the task's")] = PRESET
-    """Cameras a demonstration is seen from."""
-    m: Annotated[FromPreset[int], default("the task's")] = PRESET
-    """Cameras by which that window moves from one demonstration to the next."""
+    task: Annotated[str, one_of("task")] = "lift"
+    """What the robot has to do."""
+    actions: Annotated[str, one_of("actions")] = "commands"
+    """Where commands come from: the file's own OSC_POSE actions, or the poses that its states
+    reach, which every file has."""
+    filter_key: Annotated[str | None, tyro.conf.arg(metavar="STR"), default("every one")] = None
+    """Import only the demonstrations of this entry of the file's `mask`."""
 
-    def __post_init__(self) -> None:
-        check_types(self)
-        check_names(self)
-        check_least(self, 1, "n")
-        check_least(self, 0, "validation m")
-        _check_window(self.n, self.m)
+
+@dataclass(frozen=True)
+class ManiskillConfig(ImportConfig):
+    """Import ManiSkill's trajectories, HDF5 with JSON beside it, and replay them in each space."""
 
 
 @dataclass(frozen=True)

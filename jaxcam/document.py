@@ -140,14 +140,7 @@ def to_html(document: Document, folder: Path) -> str:
             case Text():
                 parts.append(page.notice(block.text) if block.warns else page.text(block.text))
             case Table():
-                cells = [list(map(_html, row)) for row in block.rows]
-                table = page.table(block.head, cells, block.rules)
-                caption = page.text(block.caption)
-                parts.append(
-                    page.folded(block.caption, table)
-                    if block.folded
-                    else caption + page.card(table)
-                )
+                parts.append(_html_table(block))
     return page.page(document.title, document.subtitle, [*parts, page.pictures(figures)])
 
 

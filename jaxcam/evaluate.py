@@ -138,9 +138,9 @@ def evaluate_run(config: EvaluateConfig, folder: Path, console: Console) -> None
         CheckpointError: a checkpoint that is asked for is damaged or missing; the others are done.
     """
     inputs = load_policy_inputs(folder, config.step)
-    steps, lacking = _steps(folder, inputs.config) if config.protocol == "paper" else (
-        [inputs.step], []
-    )  # fmt: skip
+    steps, lacking = [inputs.step], []
+    if config.protocol == "paper":
+        steps, lacking = _steps(folder, inputs.config)
     policy = rebuild_policy(inputs)
     evaluator = Evaluator(inputs.config, config.width, config.engine, config.ensemble)
     file = folder / "eval" / "rows.jsonl"
@@ -190,10 +190,9 @@ def _steps(folder: Path, trained: TrainConfig) -> tuple[list[int], list[str]]:
             f"{folder} is trained to step {max(there)} of {wanted[0]}. Finish its training before "
             "its last checkpoints are evaluated."
         )
-    missing = [str(step) for step in wanted if step not in there]
-    return [step for step in wanted if step in there], [
-        f"{folder} has no checkpoints of the steps {', '.join(missing)}; the others are evaluated."
-    ] * bool(missing)
+    gone = ", ".join(str(step) for step in wanted if step not in there)
+    told = [f"{folder} has no checkpoints of the steps {gone}; the others are evaluated."]
+    return [step for step in wanted if step in there], told if gone else []
 
 
 def main() -> None:

@@ -7,6 +7,7 @@ import ast
 import dataclasses
 import json
 import math
+import sys
 import typing
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
@@ -109,9 +110,10 @@ def with_overrides(settings: C, pairs: Iterable[str]) -> C:
     return typing.cast(C, changed)
 
 
-def cli(kind: type[C], argv: Sequence[str] | None = None, *, prog: str | None = None) -> C:
+def cli(kind: type[C], argv: Sequence[str] | None = None) -> C:
     """A config from the flags in `argv`, or the process's; bad ones print a box and exit with 2."""
-    return tyro.cli(kind, args=argv, prog=prog)
+    spec = sys.modules["__main__"].__spec__  # of `python -m`; without, the file's name must do
+    return tyro.cli(kind, args=argv, prog=f"python -m {spec.name}" if spec else None)
 
 
 def check_types(config: Any, where: str = "") -> None:

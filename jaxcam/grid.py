@@ -27,6 +27,7 @@ import yaml
 
 from jaxcam.config import TrainConfig, resolve
 from jaxcam.errors import ConfigError, closest
+from jaxcam.presets import NAMES
 from jaxcam.protocol import missing, protocol_of
 from jaxcam.results import changes, identity, plain
 from jaxcam.rundir import read_jsonl
@@ -72,7 +73,9 @@ class Planned:
     @property
     def pairs(self) -> int:
         """Pairs that each of them is evaluated on."""
-        return self.config.pairs if self.protocol == "one" else protocol_of("act").pairs
+        if self.protocol == "one":
+            return self.config.pairs
+        return protocol_of(self.config.policy).pairs
 
     def commands(self) -> list[list[str]]:
         """The commands that make it, in order; run again, each goes on where it stopped."""
@@ -145,9 +148,9 @@ def read_grid(path: str | Path) -> Grid:
         if not content.get(name):
             raise ConfigError(f"{where}: there is no '{name}'.")
     protocol = content.get("protocol", "one")
-    if protocol not in ("one", "paper"):
+    if protocol not in NAMES["protocol"]:
         raise ConfigError(
-            f"{where}: unknown protocol '{protocol}'{closest(protocol, ('one', 'paper'))}"
+            f"{where}: unknown protocol '{protocol}'{closest(protocol, NAMES['protocol'])}"
         )
     shared = _mapping(f"{where}, settings", content.get("settings") or {}, _FIELDS)
     runs: dict[Path, Planned] = {}

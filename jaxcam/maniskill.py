@@ -7,7 +7,7 @@ then replayed in each action space, and what does not succeed there is told with
 that of ManiSkill's `RecordEpisode` (mani_skill 3), which the official demonstrations share.
 """
 
-from jaxcam.config import CollectConfig, ManiskillConfig, with_task
+from jaxcam.config import ManiskillConfig
 from jaxcam.fields import cli
 
 if __name__ == "__main__":
@@ -15,27 +15,24 @@ if __name__ == "__main__":
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 
 from jaxcam.actions import ACTION_SPACES, controller_of
-from jaxcam.collect import FIRST_SEED, camera_windows, new_header
-from jaxcam.demos import Demo, Demos, DemoWriter, read_demos
+from jaxcam.collect import FIRST_SEED
+from jaxcam.demos import Demo, Demos
 from jaxcam.errors import DatasetError, run_main
-from jaxcam.locks import exclusive
+from jaxcam.imported import succeeds, write_dataset
 from jaxcam.maniskill_files import (
-    Source,
     open_file,
     read_demo,
     read_source,
     why_failed,
 )
 from jaxcam.progress import progress
-from jaxcam.recorded import succeeds
 from jaxcam.replay import GATE, play, tell
 from jaxcam.sim import make_engine, make_task
 
@@ -71,9 +68,6 @@ def import_trajectories(config: ManiskillConfig, console: Console | None = None)
     """
     source = read_source(config)
     source.task.require()
-    out = Path(
-        config.out or f"data/{source.task.name}-{config.scene}-{Path(config.file).stem}.hdf5"
-    )
     demos: dict[str, Demo] = {}
     dropped: dict[str, str] = {}
     with (
@@ -93,39 +87,23 @@ def import_trajectories(config: ManiskillConfig, console: Console | None = None)
     if not demos:
         name, why = next(iter(dropped.items()))
         raise DatasetError(f"{source.path}: no trajectory succeeds. The first, {name}: {why}.")
-    with exclusive(out, console):
-        written = _write(source, config, out, list(demos.values()))
-    return Imported(written, list(demos), dropped)
-
-
-def _write(source: Source, config: ManiskillConfig, out: Path, demos: list[Demo]) -> Demos:
-    held = len(demos) // 10 if config.validation is None else config.validation
-    train = len(demos) - held
+    valid = len(demos) // 10 if config.validation is None else config.validation
+    train = len(demos) - valid
     if train < 1:
         raise DatasetError(
             f"{source.path}: {len(demos)} of {len(source.episodes)} trajectories succeed, of which "
-            f"{held} are for validation: none is left to train on. Choose a smaller --validation."
+            f"{valid} are for validation: none is left to train on. Choose a smaller --validation."
         )
-    if out.exists():
-        raise DatasetError(f"{out} exists. Choose another --out, or delete it first.")
-    out.with_name(out.name + ".part").unlink(missing_ok=True)  # perhaps of another file
-    like = with_task(
-        CollectConfig(
-            task=source.task.name,
-            scene=config.scene,
-            demos=train,
-            validation=held,
-            n=config.n,
-            m=config.m,
-        )
+    written = write_dataset(
+        config,
+        source.task,
+        demos.values(),
+        train=train,
+        valid=valid,
+        about=source.about,
+        console=console,
     )
-    header = new_header(like, source.task, source.scene)
-    header = replace(header, versions={**header.versions, "imported": source.about})
-    with DemoWriter(out, header) as writer:
-        for i, (demo, cameras) in enumerate(zip(demos, camera_windows(header), strict=True)):
-            writer.append(i, replace(demo, cameras=cameras))
-        writer.finish()
-    return read_demos(out)
+    return Imported(written, list(demos), dropped)
 
 
 def run(

@@ -29,7 +29,8 @@ from jaxcam.rotations import (
 from jaxcam.sim import make_task
 from jaxcam.sim.controllers import CONTROL_HZ
 from jaxcam.sim.maniskill import kinematics
-from jaxcam.sim.maniskill.task import JOINTS, ManiSkillTask, SapienWorld
+from jaxcam.sim.maniskill.memory import JOINTS
+from jaxcam.sim.maniskill.task import ManiSkillTask, SapienWorld
 
 ENVIRONMENTS = {
     "PushCube-v1": "push",

@@ -5,7 +5,7 @@ actions become absolute targets; cameras are drawn as for our own demonstrations
 trains as a collected dataset does: `python -m jaxcam.train --dataset`.
 """
 
-from jaxcam.config import CollectConfig, RobomimicConfig, with_task
+from jaxcam.config import RobomimicConfig
 from jaxcam.fields import cli
 
 if __name__ == "__main__":
@@ -14,7 +14,7 @@ if __name__ == "__main__":
 import contextlib
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +22,11 @@ import h5py
 import numpy as np
 from rich.console import Console
 
-from jaxcam.collect import FIRST_SEED, camera_windows, new_header
-from jaxcam.demos import Demo, Demos, DemoWriter, read_demos
+from jaxcam.collect import FIRST_SEED
+from jaxcam.demos import Demo, Demos
 from jaxcam.errors import ConfigError, DatasetError, JaxcamError, closest, run_main
-from jaxcam.locks import exclusive
+from jaxcam.imported import succeeds, write_dataset
 from jaxcam.progress import progress
-from jaxcam.recorded import succeeds
 from jaxcam.replay import replay_all
 from jaxcam.robosuite_model import (
     Controller,
@@ -107,37 +106,28 @@ def import_demos(config: RobomimicConfig, console: Console | None = None) -> Dem
         DatasetError: if the file is not robomimic's, is of another task or robot, or if the
             dataset exists.
     """
-    config = with_task(config)
-    out = Path(config.out or f"data/{config.task}-{config.scene}-{Path(config.file).stem}.hdf5")
     task = make_task(config.task)
     scene = task.scene(config.scene)
     if not isinstance(scene, Scene):
         raise ConfigError(f"{config.task} is not one of robosuite's tasks, but the file is of one.")
-    with _source(config) as source, exclusive(out, console):
-        if out.exists():
-            raise DatasetError(f"{out} exists. Choose another --out, or delete it first.")
-        out.with_name(out.name + ".part").unlink(missing_ok=True)  # perhaps of another file
-        like = CollectConfig(
-            task=config.task,
-            scene=config.scene,
-            demos=len(source.train),
-            validation=len(source.valid),
-            n=config.n,
-            m=config.m,
-        )
-        header = new_header(like, task, scene)
-        header = replace(header, versions={**header.versions, "imported": source.about})
+    with _source(config) as source:
         names = source.train + source.valid
-        with (
-            DemoWriter(out, header) as writer,
-            progress(console, "importing", len(names)) as advance,
-        ):
-            for i, (name, cameras) in enumerate(zip(names, camera_windows(header), strict=True)):
-                demo = source.demo(name, task, scene, FIRST_SEED + i)
-                writer.append(i, replace(demo, cameras=cameras))
-                advance()
-            writer.finish()
-    return read_demos(out)
+        with progress(console, "importing", len(names)) as advance:
+
+            def converted() -> Iterator[Demo]:
+                for i, name in enumerate(names):
+                    yield source.demo(name, task, scene, FIRST_SEED + i)
+                    advance()
+
+            return write_dataset(
+                config,
+                task,
+                converted(),
+                train=len(source.train),
+                valid=len(source.valid),
+                about=source.about,
+                console=console,
+            )
 
 
 @contextlib.contextmanager

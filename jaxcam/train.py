@@ -271,7 +271,7 @@ def _finish(
 
 def main() -> None:
     """The command line."""
-    config = cli(TrainConfig, prog="python -m jaxcam.train")
+    config = cli(TrainConfig)
     from rich.console import Console
     from rich.logging import RichHandler
 

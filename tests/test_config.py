@@ -201,7 +201,7 @@ def test_flags():
 )
 def test_bad_flags_exit_with_2_and_help(flags, message, capsys):
     with pytest.raises(SystemExit) as stop:
-        cli(TrainConfig, flags, prog="train")
+        cli(TrainConfig, flags)
     assert stop.value.code == 2
     shown = capsys.readouterr().err
     assert message in " ".join(shown.split())

@@ -17,11 +17,11 @@ from jaxcam.config import ManiskillConfig
 from jaxcam.demos import read_demos
 from jaxcam.errors import DatasetError
 from jaxcam.frames import load_frames
+from jaxcam.imported import succeeds
 from jaxcam.maniskill import import_trajectories
 from jaxcam.maniskill_actions import LEAD, SIZES, grip_targets, gripper_signs
 from jaxcam.maniskill_files import is_trajectories, open_file, read_demo, read_source
 from jaxcam.rays import Camera
-from jaxcam.recorded import succeeds
 from jaxcam.rotations import matrix_from_quaternion, rotvec_from_matrix
 from jaxcam.sim import make_task
 from jaxcam.sim.maniskill import kinematics

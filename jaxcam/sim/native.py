@@ -86,7 +86,8 @@ TORQUES = {
     "osc_pose": _compile(controllers.pose_torques),
     "joint_position": _compile(controllers.joint_torques),
 }
-"""Compiled at first use in about 20 s, then kept on disk."""
+"""Compiled at first use, then kept on disk. Numba looks at the file of these functions only: who
+changes what they are given here must delete `jaxcam/sim/__pycache__`."""
 
 
 class NativeEngine(Engine):

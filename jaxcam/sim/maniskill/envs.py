@@ -29,6 +29,7 @@ from jaxcam.rays import sample_poses, sapien_from_opencv
 from jaxcam.rotations import matrix_from_quaternion, quaternion_from_matrix
 from jaxcam.sim import make_task
 from jaxcam.sim.engine import Start, State
+from jaxcam.sim.maniskill.memory import FAR, NEAR
 from jaxcam.sim.task import starts
 
 ROBOT = "panda_firm"
@@ -36,8 +37,6 @@ TABLE = (-0.12, 0.0, -0.9196429)
 """Where ManiSkill's table stands (m), turned by a quarter; its top is at height 0."""
 TABLE_SCALE = 1.75
 """Of its mesh."""
-NEAR, FAR = 0.01, 100.0
-"""Clipping distances (m) of the cameras."""
 
 
 @register_agent()

@@ -9,9 +9,12 @@ import numpy as np
 
 ROWS = 256
 """Worlds, or views, of one request at most."""
+NEAR, FAR = 0.01, 100.0
+"""Clipping distances (m) of cameras, ManiSkill's."""
 PIXELS = 2**25
 """Bytes for the pictures of one request."""
 JOINTS = 9
+"""Joints of the robot: arm, then fingers."""
 
 
 class Sizes(NamedTuple):

@@ -82,7 +82,7 @@ class Child:
                 done, value = self._wait()
             except _LostError as lost:
                 if not self._restarts:
-                    raise SimError(f"{self._told(str(lost))}") from lost
+                    raise SimError(self._told(str(lost))) from lost
                 self._restarts -= 1
                 _LOG.warning("%s It is started anew.", self._told(str(lost)))
                 self._kill()

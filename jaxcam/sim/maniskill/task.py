@@ -12,9 +12,10 @@ import numpy as np
 
 from jaxcam.errors import ConfigError, closest
 from jaxcam.presets import NAMES
-from jaxcam.rotations import matrix_from_rotvec
+from jaxcam.rotations import Array, array_namespace, matrix_from_rotvec
 from jaxcam.sim.controllers import CONTROL_HZ
 from jaxcam.sim.engine import ControllerName, Engine, Start
+from jaxcam.sim.maniskill.memory import JOINTS
 from jaxcam.sim.task import Task, shifted_fixtures
 from jaxcam.sim.world import Painter, World
 
@@ -22,8 +23,10 @@ HOME = np.array([0, 1 / 8, 0, -5 / 8, 0, 3 / 4, 1 / 4]) * np.pi
 """Arm joint angles (rad) from which episodes start: the rest pose of ManiSkill's Panda."""
 OPEN = 0.04
 """Opening of one finger (m) when open."""
-JOINTS = 9
-"""Joints of the robot: arm, then fingers."""
+GOAL_RADIUS = 0.1
+"""Of the round target on the table (m), where a task has one."""
+_GOAL_HEIGHT, _LYING = 1e-3, (np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0)
+"""Height (m) of the target, which is thin, and what turns ManiSkill's, a disc about x, to lie."""
 TABLE_SHIFT = 0.2
 """Half-range (m) of the shift of the table that is seen in randomised scenes (authors' code)."""
 ROOM_SHIFT = 2.0
@@ -31,6 +34,17 @@ ROOM_SHIFT = 2.0
 JOINT_LAG = 0.1 - 0.5 / CONTROL_HZ
 """Time (s) by which steadily moving joints are behind their target at the end of a control step:
 damping over stiffness of ManiSkill's Panda, less half of the step, in which targets stand still."""
+
+
+def goal_pose(place: np.ndarray) -> np.ndarray:
+    """Pose (xyz, wxyz) [7] of the round target whose middle is at x and y (m) [2]."""
+    return np.array([*place, _GOAL_HEIGHT, *_LYING])
+
+
+def is_over_goal(place: Array, start: Start) -> Array:
+    """Whether places x, y (m) [..., 2] are over the round target."""
+    aside = place - start.fixtures[..., 2, :2]
+    return array_namespace(place).sqrt((aside**2).sum(-1)) < GOAL_RADIUS
 
 
 @dataclass(frozen=True, kw_only=True)

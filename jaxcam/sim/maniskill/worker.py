@@ -18,13 +18,11 @@ import numpy as np
 
 from jaxcam.rays import sapien_from_opencv
 from jaxcam.sim.engine import Start
-from jaxcam.sim.maniskill.memory import JOINTS, Memory, Sizes, open_memory
+from jaxcam.sim.maniskill.memory import FAR, JOINTS, NEAR, Memory, Sizes, open_memory
 
 CONTROL_MODE = "pd_joint_pos"
 SHADER = "minimal"
 """ManiSkill's own choice for its cameras."""
-NEAR, FAR = 0.01, 100.0
-"""Clipping distances (m) of cameras, ManiSkill's."""
 CAMERA_ERROR = 1e-3
 """Largest difference (pixels, m) between the camera asked and the one SAPIEN says it has."""
 

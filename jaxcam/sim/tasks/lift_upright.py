@@ -34,7 +34,6 @@ class LiftUpright(ManiSkillTask):
 
     name: ClassVar[str] = "lift_upright"
     env: ClassVar[str] = "JaxcamLiftUpright-v1"
-    env: ClassVar[str] = "JaxcamLiftUpright-v1"
     horizon: ClassVar[int] = 450
     views: ClassVar[int] = 1
     stair: ClassVar[tuple[int, int]] = (3, 1)

@@ -6,10 +6,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from jaxcam.rays import POSE_RANGES, PoseRanges
-from jaxcam.rotations import Array, array_namespace
+from jaxcam.rotations import Array
 from jaxcam.sim.engine import Start, State
 from jaxcam.sim.experts import CLOSE, Hand, pushing_grip
-from jaxcam.sim.maniskill.task import ManiSkillTask, SapienWorld
+from jaxcam.sim.maniskill.task import ManiSkillTask, SapienWorld, goal_pose, is_over_goal
 from jaxcam.sim.task import Aim, Sight
 
 HALF_SIZE = 0.02
@@ -18,12 +18,8 @@ ANCHOR, MIDDLE = 0.1, (-0.05, 0.0)
 """Half-range (m) and middle of the point that lies a third of the way from cube to target."""
 TRAVEL = (0.2, 0.3)
 """Range (m) of the distance from cube to target, in any direction."""
-RADIUS, LOW = 0.1, 0.005
-"""Of the target (m), and height over where it rests up to which the cube counts as on the table."""
-TARGET_HEIGHT = 1e-3
-"""Of the target above the table (m): it is thin, and seen."""
-FLAT = (np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0)
-"""Turns ManiSkill's target, a disc about x, to lie on the table."""
+LOW = 0.005
+"""Height (m) over where it rests up to which the cube counts as on the table."""
 BEHIND, TOUCH = 0.075, 0.03
 """Distances (m) from the cube's middle to the grip before pushing, and while it pushes."""
 HOVER, DOWN = 0.10, 0.02
@@ -56,14 +52,13 @@ class Push(ManiSkillTask):
         cube = scene.qpos_of("cube")
         start.qpos[cube : cube + 3] = *(anchor - travel / 3 * along), HALF_SIZE
         start.qpos[cube + 3 : cube + 7] = [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
-        start.fixtures[2] = *(anchor + travel * 2 / 3 * along), TARGET_HEIGHT, *FLAT
+        start.fixtures[2] = goal_pose(anchor + travel * 2 / 3 * along)
 
     def success(self, scene: SapienWorld, state: State, start: Start) -> Array:
         """The cube's middle is over the target, and the cube on the table."""
-        xp, cube = array_namespace(state.qpos), scene.qpos_of("cube")
-        aside = state.qpos[..., cube : cube + 2] - start.fixtures[..., 2, :2]
+        cube = scene.qpos_of("cube")
         low = state.qpos[..., cube + 2] < HALF_SIZE + LOW
-        return (xp.sqrt((aside**2).sum(-1)) < RADIUS) & low
+        return is_over_goal(state.qpos[..., cube : cube + 2], start) & low
 
     def expert(self, scene: SapienWorld, sight: Sight) -> Iterator[Aim]:
         """Behind the cube, down, and on until it is over the target's middle; fingers closed."""

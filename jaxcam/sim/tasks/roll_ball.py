@@ -6,10 +6,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from jaxcam.rays import POSE_RANGES, PoseRanges
-from jaxcam.rotations import Array, array_namespace
+from jaxcam.rotations import Array
 from jaxcam.sim.engine import Start, State
 from jaxcam.sim.experts import CLOSE, Hand, pushing_grip
-from jaxcam.sim.maniskill.task import ManiSkillTask, SapienWorld
+from jaxcam.sim.maniskill.task import ManiSkillTask, SapienWorld, goal_pose, is_over_goal
 from jaxcam.sim.task import Aim, Sight
 
 BALL = 0.035
@@ -18,12 +18,6 @@ ACROSS = (-0.4, 0.2)
 """Range (m) of the x of ball and target."""
 FROM, TO = (0.5, 0.7), (-0.3, -0.1)
 """Ranges (m) of the y of ball and target (authors' RollBallRand; the robot is at y = 1)."""
-RADIUS = 0.1
-"""Of the target (m)."""
-TARGET_HEIGHT = 1e-3
-"""Of the target above the table (m): it is thin, and seen."""
-FLAT = (np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0)
-"""Turns ManiSkill's target, a disc about x, to lie on the table."""
 BEHIND, HOVER, DOWN = 0.07, 0.14, 0.03
 """Distance (m) from the ball's middle to the grip before pushing, and heights (m) of the grip on
 the way there and while it pushes."""
@@ -56,13 +50,12 @@ class RollBall(ManiSkillTask):
         """The ball before the robot, the target at the table's other half."""
         ball = scene.qpos_of("ball")
         start.qpos[ball : ball + 3] = rng.uniform(*ACROSS), rng.uniform(*FROM), BALL
-        start.fixtures[2] = rng.uniform(*ACROSS), rng.uniform(*TO), TARGET_HEIGHT, *FLAT
+        start.fixtures[2] = goal_pose(np.array([rng.uniform(*ACROSS), rng.uniform(*TO)]))
 
     def success(self, scene: SapienWorld, state: State, start: Start) -> Array:
         """The ball's middle is over the target, rolling or not."""
         ball = scene.qpos_of("ball")
-        aside = state.qpos[..., ball : ball + 2] - start.fixtures[..., 2, :2]
-        return array_namespace(state.qpos).sqrt((aside**2).sum(-1)) < RADIUS
+        return is_over_goal(state.qpos[..., ball : ball + 2], start)
 
     def expert(self, scene: SapienWorld, sight: Sight) -> Iterator[Aim]:
         """Behind the ball, down, push towards the target, and watch; fingers closed."""
