@@ -1,4 +1,8 @@
-"""`python -m jaxcam.check --env`: what this machine can run, what is missing and how to get it."""
+"""`python -m jaxcam.check DATASET|RUN|--env`: the doctor of datasets, runs and machines.
+
+It looks and changes nothing. What it finds is told in a table and on a page beside what was
+checked; the exit code is 1 if something must be mended.
+"""
 
 from jaxcam.commands import CheckConfig
 from jaxcam.fields import cli
@@ -6,118 +10,152 @@ from jaxcam.fields import cli
 if __name__ == "__main__":
     cli(CheckConfig)  # --help and bad flags are answered before the slow imports
 
-import importlib.util
-import platform
-from collections.abc import Iterator
-from importlib.metadata import version
-from typing import NamedTuple
+import json
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
+import h5py
 from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
-from jaxcam.errors import ConfigError, SimError, run_main
-from jaxcam.presets import NAMES
+from jaxcam.check_dataset import check_content, check_physics, read, statistics
+from jaxcam.check_env import check_env
+from jaxcam.check_page import Report, draw_figures, write_page
+from jaxcam.check_pictures import check_caches, draw_overlays
+from jaxcam.check_run import check_run
+from jaxcam.config import ManiskillConfig, RobomimicConfig
+from jaxcam.demos import Demos
+from jaxcam.errors import ConfigError, DatasetError, SimError, run_main
+from jaxcam.findings import Finding, show, worst
+from jaxcam.maniskill_files import is_trajectories
 from jaxcam.sim import make_task
-from jaxcam.sim.maniskill import machine
-from jaxcam.sim.maniskill.task import ManiSkillTask
-
-EXTRAS = {
-    "lerobot": ("pyarrow",),
-    "smolvla": ("safetensors", "tokenizers"),
-    "sweep": ("submitit",),
-    "viz": ("viser",),
-}
-"""Modules that the small extras bring."""
 
 
-class Finding(NamedTuple):
-    """What was found of one thing."""
+def check_dataset(path: Path, count: int, console: Console | None = None) -> Report:
+    """Examines a dataset of ours.
 
-    what: str
-    good: bool
-    told: str
-    remedy: str = ""
-    """How to get what is missing."""
-
-
-def check_env() -> Iterator[Finding]:
-    """What of this machine matters, one by one; the last takes seconds."""
-    names = ("jaxcam", "jax", "flax", "mujoco", "robosuite")
-    told = ", ".join(f"{name} {version(name)}" for name in names)
-    yield Finding("package", True, f"{told}, Python {platform.python_version()}")
-    yield _accelerator()
-    yield Finding("MuJoCo tasks", True, _tasks(False))
-    for extra, modules in EXTRAS.items():
-        missing = [name for name in modules if importlib.util.find_spec(name) is None]
-        remedy = f"pip install 'jaxcam[{extra}]'" if missing else ""
-        told = f"without {', '.join(missing)}" if missing else ", ".join(modules)
-        yield Finding(f"extra {extra}", not missing, told, remedy)
-    missing = machine.missing_packages()
-    told = ", ".join(f"{name} {number}" for name, number in machine.versions().items())
-    if missing:
-        told = f"without {', '.join(missing)}"
-    yield Finding("extra maniskill", not missing, told, machine.INSTALL if missing else "")
-    if "sapien" in missing:
-        yield Finding("Vulkan device", False, "not looked for: SAPIEN is missing")
-    else:
-        device = machine.device()
-        remedy = "" if device.kind else machine.VULKAN
-        yield Finding("Vulkan device", bool(device.kind), device.name, remedy)
-    yield _maniskill()
-
-
-def _accelerator() -> Finding:
-    import jax
-
-    backend = jax.default_backend()
-    kinds = sorted({device.device_kind for device in jax.devices()})
-    told = f"{backend}: {len(jax.devices())} x {', '.join(kinds)}"
-    if backend == "cpu" and machine.has_nvidia():
-        return Finding(
-            "accelerator", False, f"{told}, though there is a GPU", "pip install 'jaxcam[cuda]'"
-        )
-    return Finding("accelerator", True, told if backend != "cpu" else f"{told} (none)")
-
-
-def _maniskill() -> Finding:
-    """Whether one of its worlds can be made here: that is what other processes will do."""
-    task = next(t for t in map(make_task, NAMES["task"]) if isinstance(t, ManiSkillTask))
-    try:
-        task.require()
-        from jaxcam.sim.maniskill.pool import pool_of
-
-        about = pool_of(task.scene("fixed")).about
-    except SimError as error:
-        return Finding("ManiSkill tasks", False, str(error).splitlines()[0])
-    steps = f"{about['control_hz']:g} control steps a second"
-    return Finding("ManiSkill tasks", True, f"{_tasks(True)} ({steps})")
-
-
-def _tasks(maniskill: bool) -> str:
-    return ", ".join(
-        name for name in NAMES["task"] if isinstance(make_task(name), ManiSkillTask) is maniskill
+    Args:
+        path: of the file.
+        count: demonstrations that are replayed, drawn and compared with cached pictures.
+        console: for progress; silent when None.
+    """
+    demos, findings = read(path)
+    if demos is None:
+        return Report(path.name, "It cannot be used.", findings)
+    task = make_task(demos.header.task)
+    scene = task.scene(demos.header.scene)
+    findings += check_content(demos, scene)
+    wrong = {finding.what for finding in findings if finding.mark == "bad"}
+    overlays = None
+    if count and "states" not in wrong:
+        try:
+            task.require()
+            findings += check_physics(demos, task, scene, count, console)
+            if "camera poses" not in wrong:
+                findings += check_caches(demos, task, scene, count)
+                overlays = draw_overlays(demos, task, scene, count)
+        except SimError as error:
+            findings.append(Finding("replay and pictures", "note", "not looked at", fix=str(error)))
+    return Report(
+        title=f"{task.name}, {scene.name}",
+        subtitle=path.name,
+        findings=findings,
+        numbers=statistics(demos),
+        figures=draw_figures(demos, task),
+        overlays=overlays,
     )
+
+
+def check_foreign(
+    path: Path, count: int, console: Console | None, importer: Callable[[Path], Demos]
+) -> Report:
+    """Examines what becomes of somebody else's file when it is imported; nothing of that is kept.
+
+    Args:
+        path: of the file.
+        count: see `check_dataset`.
+        console: for progress; silent when None.
+        importer: writes the file's demonstrations as a dataset of ours to a path.
+    """
+    with TemporaryDirectory() as folder:
+        try:
+            demos = importer(Path(folder) / "imported.hdf5")
+        except DatasetError as error:
+            finding = Finding("file", "bad", str(error))
+            return Report(path.name, "It cannot be imported.", [finding])
+        report = check_dataset(demos.path, count, console)
+    about = demos.header.versions["imported"]
+    return replace(report, subtitle=f"{about}, as jaxcam imports it")
+
+
+def examine(path: Path, count: int, console: Console | None = None) -> Report:
+    """Examines what a path leads to; see `check_dataset`, `check_foreign`, `check_run`."""
+    if path.is_dir():
+        if not (path / "config.json").is_file():
+            raise ConfigError(
+                f"{path}: not a run folder, since it has no config.json, and datasets are files."
+            )
+        return Report(path.name, "Run folder.", list(check_run(path, console)))
+    if is_trajectories(path):
+        from jaxcam.maniskill import import_trajectories
+
+        def trajectories(out: Path) -> Demos:
+            return import_trajectories(ManiskillConfig(str(path), out=str(out)), console).demos
+
+        return check_foreign(path, count, console, trajectories)
+    if task := _robomimic_task(path):
+        from jaxcam.robomimic import import_demos
+
+        def robomimic(out: Path) -> Demos:
+            return import_demos(RobomimicConfig(str(path), task=task, out=str(out)), console)
+
+        return check_foreign(path, count, console, robomimic)
+    return check_dataset(path, count, console)
+
+
+def _robomimic_task(path: Path) -> str:
+    """Our task of a file in robomimic's layout; empty if it is another's."""
+    from jaxcam.robomimic import ENVIRONMENTS
+
+    try:
+        with h5py.File(path, "r") as file:
+            attributes: Any = file["data"].attrs
+            if "jaxcam" in attributes or "env_args" not in attributes:
+                return ""
+            name = json.loads(attributes["env_args"])["env_name"]
+    except (OSError, RuntimeError, LookupError, TypeError, ValueError):
+        return ""
+    return ENVIRONMENTS.get(str(name), "lift")  # others are refused with the reason
+
+
+def _page(config: CheckConfig) -> Path:
+    target = Path(config.target)
+    if config.out:
+        return Path(config.out)
+    return target / "check.html" if target.is_dir() else target.with_suffix(".check.html")
 
 
 def main() -> None:
     """The command line."""
-    config = cli(CheckConfig)
-    if not config.env:
-        raise ConfigError("Nothing to check. Give --env to check this machine.")
-    console = Console()
-    table = Table("what", "", "found")
-    found = []
-    with console.status("looking"):
-        for finding in check_env():
-            found.append(finding)
-            mark = Text("yes", "green") if finding.good else Text("no", "yellow")
-            table.add_row(finding.what, mark, Text(finding.told))
-    console.print(table)
-    for finding in found:
-        if finding.remedy:
-            console.print(Text(f"{finding.what}: {finding.remedy}"), soft_wrap=True)
-    console.print("The first three are all that the MuJoCo tasks need.")
+    config, console = cli(CheckConfig), Console()
+    if config.env:
+        with console.status("looking"):
+            findings = list(check_env())
+        show(findings, console)
+        console.print("The first three are all that the MuJoCo tasks need.")
+    else:
+        report = examine(Path(config.target), config.episodes, console)
+        findings = report.findings
+        show(findings, console)
+        try:
+            console.print(f"Page: {write_page(report, _page(config))}", soft_wrap=True)
+        except OSError as error:
+            console.print(f"The page cannot be written ({error}): choose another --out.")
+    if worst(findings) == "bad":
+        sys.exit(1)
 
 
 if __name__ == "__main__":

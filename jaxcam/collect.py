@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from jaxcam.demos import Demo, Demos, DemoWriter, Header, read_demos
+from jaxcam.demo_writer import DemoWriter
+from jaxcam.demos import Demo, Demos, Header, read_demos
 from jaxcam.errors import SimError, run_main
 from jaxcam.locks import exclusive
 from jaxcam.progress import progress

@@ -70,13 +70,25 @@ class ReportConfig:
 
 @dataclass(frozen=True)
 class CheckConfig:
-    """Check what training and evaluation rest on."""
+    """Look for what is wrong with a dataset, a run or this machine; exit code 1 if anything is."""
 
+    target: tyro.conf.Positional[str] = ""
+    """A dataset (also a file of robomimic's or ManiSkill's, as it would be imported) or a run's
+    folder."""
     env: bool = False
-    """Check this machine: packages, accelerator, Vulkan device, ManiSkill."""
+    """Check this machine: packages, accelerator, folders, Vulkan device, ManiSkill."""
+    episodes: int = 8
+    """Demonstrations that are replayed, drawn, and compared with cached pictures."""
+    out: Annotated[str, default("beside what is checked")] = ""
+    """HTML page to write."""
 
     def __post_init__(self) -> None:
         check_types(self)
+        check_least(self, 0, "episodes")
+        if self.env and self.target:
+            raise ConfigError("Give --env or something to check, not both.")
+        if not (self.env or self.target):
+            raise ConfigError("Nothing to check. Name a dataset or a run's folder, or give --env.")
 
 
 @dataclass(frozen=True)

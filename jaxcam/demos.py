@@ -14,16 +14,16 @@ A file holds no pictures; they are rendered from its states (`jaxcam.frames`). L
     cameras/fovy_deg                      vertical field of view
     mask/{train, valid}                   names of the demonstrations
 
-Datasets carry Fletcher-32 checksums. A file is written as `<name>.part`, flushed per
-demonstration, and renamed when it is complete, so a killed collector loses one episode at most.
+Datasets carry Fletcher-32 checksums, and a complete file a hash of its content
+(`jaxcam.demo_writer`).
 """
 
 import contextlib
 import hashlib
 import json
-import os
+import logging
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,9 +31,15 @@ import h5py
 import numpy as np
 
 from jaxcam.errors import DatasetError
+from jaxcam.rays._checks import ROTATION_TOLERANCE
+from jaxcam.rotations import nearest_rotation
 
 FORMAT = 1
+ROUNDED = 1e-6
+"""Largest entry of |RᵀR - I| of a camera's rotation that is left as it is."""
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -112,115 +118,6 @@ class Demos:
     """Hash of all states, commands and cameras."""
 
 
-class DemoWriter:
-    """Appends demonstrations to `<path>.part` and turns it into `path` when all are there."""
-
-    def __init__(self, path: Path, header: Header) -> None:
-        self.path, self.part = path, path.with_name(path.name + ".part")
-        self.header = header
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            if self.part.exists():
-                self._resume()
-            else:
-                self._create()
-        except OSError as error:
-            raise DatasetError(
-                f"Cannot write to {path.parent}: {error.strerror or error}. Choose another "
-                "--data-dir, or make room or get permission."
-            ) from error
-
-    def __enter__(self) -> "DemoWriter":
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self._file.close()
-
-    @property
-    def done(self) -> set[int]:
-        """Indices of the demonstrations that are on disk."""
-        data: Any = self._file["data"]
-        return {int(name.removeprefix("demo_")) for name in data}
-
-    def append(self, index: int, demo: Demo) -> None:
-        """Writes one demonstration and flushes: it survives whatever happens next."""
-        data: Any = self._file["data"]
-        group = data.create_group(f"demo_{index}")
-        arrays = {
-            "states": demo.states,
-            "actions": demo.actions,
-            "obs/robot0_eef_pos": demo.eef_pos,
-            "obs/robot0_eef_quat": demo.eef_quat,
-            "obs/robot0_gripper": demo.gripper,
-            "start/geom_size": demo.geom_size,
-            "start/fixtures": demo.fixtures,
-        }
-        for name, array in arrays.items():
-            group.create_dataset(name, data=array, fletcher32=True)
-        group.attrs.update(num_samples=demo.length, seed=demo.seed, cameras=demo.cameras)
-        data.attrs["total"] = int(data.attrs["total"]) + demo.length
-        self._file.flush()
-
-    def finish(self) -> Path:
-        """Reads the file back, seals it with a hash of its content and gives it its name."""
-        missing = set(range(self.header.train + self.header.valid)) - self.done
-        if missing:
-            raise DatasetError(f"{self.part}: demonstrations {sorted(missing)[:5]}... are missing.")
-        self._file.close()
-        seal = _seal(read_demos(self.part))
-        with h5py.File(self.part, "r+") as file:
-            file["data"].attrs["sha256"] = seal
-        os.replace(self.part, self.path)
-        return self.path
-
-    def _create(self) -> None:
-        header = self.header
-        self._file = h5py.File(self.part, "w")
-        data = self._file.create_group("data")
-        env = {"env_name": header.task, "type": 1, "env_kwargs": {"scene": header.scene}}
-        about = {**header.identity(), "versions": header.versions}
-        data.attrs.update(total=0, env_args=json.dumps(env), jaxcam=json.dumps(about))
-        cameras = self._file.create_group("cameras")
-        cameras.create_dataset("world_from_camera", data=header.world_from_camera, fletcher32=True)
-        cameras.attrs["fovy_deg"] = header.fovy_deg
-        names = [f"demo_{i}" for i in range(header.train + header.valid)]
-        mask = self._file.create_group("mask")
-        mask.create_dataset("train", data=names[: header.train], dtype=h5py.string_dtype())
-        mask.create_dataset("valid", data=names[header.train :], dtype=h5py.string_dtype())
-        self._file.flush()
-
-    def _resume(self) -> None:
-        try:
-            self._file = h5py.File(self.part, "r+")
-            found = json.loads(str(self._file["data"].attrs["jaxcam"]))
-        except BlockingIOError as error:
-            raise DatasetError(
-                f"{self.part}: in use by another process. Wait for it to finish collecting."
-            ) from error
-        except (OSError, KeyError) as error:
-            raise DatasetError(
-                f"{self.part}: an unfinished file that cannot be opened ({error}). "
-                "Delete it and collect again."
-            ) from error
-        wrong = _differences(found, self.header.identity())
-        if wrong:
-            self._file.close()
-            raise DatasetError(
-                f"{self.part}: an unfinished file of other settings ({wrong}). Finish it with its "
-                "own settings, or delete it."
-            )
-        data: Any = self._file["data"]
-        for name in list(data):
-            if "num_samples" not in data[name].attrs:
-                del data[name]
-
-
-def _differences(found: dict[str, Any], wanted: dict[str, Any]) -> str:
-    return ", ".join(
-        f"{k}: file {found.get(k)}, asked {v}" for k, v in wanted.items() if found.get(k) != v
-    )
-
-
 def read_demos(path: Path, *, task: str | None = None, scene: str | None = None) -> Demos:
     """Reads a complete file.
 
@@ -250,19 +147,54 @@ def read_demos(path: Path, *, task: str | None = None, scene: str | None = None)
     found = Demos(
         path, header, demos[: header.train], demos[header.train :], digest.hexdigest()[:16]
     )
-    if seal is not None and seal != _seal(found):
+    if seal is not None and seal != seal_of(found):
         raise DatasetError(
             f"{path}: damaged: its content is not what was written. Delete it and collect again, "
             "or copy it anew."
         )
-    return found
+    # After the hashes: a singular value decomposition has other last digits on other machines.
+    return replace(found, header=_orthonormal(path, header))
 
 
-def _seal(demos: Demos) -> str:
+def _orthonormal(path: Path, header: Header) -> Header:
+    """The header with rotations that were rounded made rotations again; worse ones are kept."""
+    poses = header.world_from_camera
+    rotation = poses[:, :3, :3].astype(np.float64)
+    error = abs(rotation.swapaxes(-1, -2) @ rotation - np.eye(3)).max((-2, -1))
+    rounded = (error > ROUNDED) & (error <= ROTATION_TOLERANCE) & (np.linalg.det(rotation) > 0)
+    if not rounded.any():
+        return header
+    _log.warning(
+        "%s: rotations of %d of %d cameras are rounded (|RᵀR - I| up to %.1g): the nearest "
+        "rotations are used.", path, rounded.sum(), len(poses), error[rounded].max(),
+    )  # fmt: skip
+    poses = poses.astype(np.float64)
+    poses[rounded, :3, :3] = nearest_rotation(rotation[rounded])
+    return replace(header, world_from_camera=poses)
+
+
+def seal_of(demos: Demos) -> str:
     """Hash of all that is read of a file; checksums see arrays, but attributes have none."""
     seeds = [d.seed for d in demos.train + demos.valid]
     content = [demos.fingerprint, demos.header.identity(), seeds]
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()
+
+
+def faults_of(path: Path) -> list[DatasetError]:
+    """All that is wrong with the demonstrations of a file, one error for each that has one.
+
+    Raises:
+        DatasetError: if not even its header can be read.
+    """
+    faults = []
+    with _open(path) as file:
+        header = _read_header(path, file)
+        for i in range(header.train + header.valid):
+            try:
+                _read_demo(path, file, i, header)
+            except DatasetError as error:
+                faults.append(error)
+    return faults
 
 
 @contextlib.contextmanager
@@ -291,18 +223,36 @@ def _read_header(path: Path, file: h5py.File) -> Header:
         found = about["format"]
     except (KeyError, TypeError, ValueError) as error:
         raise DatasetError(
-            f"{path}: no jaxcam header; found {sorted(file)}. Expected the layout in "
-            "jaxcam/demos.py."
+            f"{path}: no jaxcam header; found {sorted(file)}. {_whose(path, file)}"
         ) from error
     if found != FORMAT:
         raise DatasetError(f"{path}: format {found}, but this jaxcam reads {FORMAT}.")
     if "cameras/world_from_camera" not in file:
         raise DatasetError(f"{path}: no cameras (dataset 'cameras/world_from_camera' is missing).")
     poses: Any = file["cameras/world_from_camera"]
+    if poses.shape[1:] != (4, 4):
+        raise DatasetError(
+            f"{path}: cameras/world_from_camera is {list(poses.shape)}, expected [cameras, 4, 4]."
+        )
     try:
         return Header(world_from_camera=poses[:], **about)
     except TypeError as error:
         raise DatasetError(f"{path}: incomplete jaxcam header ({error}).") from error
+
+
+def _whose(path: Path, file: h5py.File) -> str:
+    """Whose layout a file has that is not ours, and what to do with it."""
+    if any(str(name).startswith("traj_") for name in file):
+        return f"It looks like ManiSkill's: python -m jaxcam.maniskill {path}"
+    data: Any = file.get("data", {})
+    if "env_args" in getattr(data, "attrs", {}):
+        return f"It looks like robomimic's: python -m jaxcam.robomimic {path}"
+    if "env" in getattr(data, "attrs", {}):
+        return (
+            "It looks like robosuite's own recording: turn it into robomimic's layout with "
+            "robomimic's convert_robosuite.py, then: python -m jaxcam.robomimic FILE"
+        )
+    return "Expected the layout in docs/data.md."
 
 
 def _read_demo(path: Path, file: h5py.File, index: int, header: Header) -> Demo:
@@ -331,11 +281,34 @@ def _read_demo(path: Path, file: h5py.File, index: int, header: Header) -> Demo:
         raise DatasetError(
             f"{path}: {name}: cameras {demo.cameras.tolist()} are missing; the file has {cameras}."
         )
-    if not (np.isfinite(demo.states).all() and np.isfinite(demo.actions).all()):
-        raise DatasetError(f"{path}: {name}: non-finite states or actions.")
-    if demo.length == 0 or len(demo.states) != demo.length + 1:
-        raise DatasetError(
-            f"{path}: {name}: {demo.length} actions need {demo.length + 1} states, got "
-            f"{len(demo.states)}."
-        )
+    _check_demo(f"{path}: {name}", demo, header)
     return demo
+
+
+def _check_demo(where: str, demo: Demo, header: Header) -> None:
+    """Refuses a demonstration without steps, of other shapes, or with numbers that are none."""
+    steps = demo.length
+    if steps == 0 or len(demo.states) != steps + 1:
+        raise DatasetError(
+            f"{where}: {steps} actions need {steps + 1} states, got {len(demo.states)}."
+        )
+    rows = steps + 1
+    shapes = {
+        "states": (rows, 1 + header.nq + header.nv),
+        "actions": (steps, 7),
+        "eef_pos": (rows, 3),
+        "eef_quat": (rows, 4),
+        "gripper": (rows,),
+    }
+    for field_name, shape in shapes.items():
+        array = getattr(demo, field_name)
+        if array.shape != shape:
+            raise DatasetError(
+                f"{where}: {field_name} is {list(array.shape)}, expected {list(shape)}."
+            )
+        bad = np.argwhere(~np.isfinite(array))
+        if len(bad):
+            raise DatasetError(
+                f"{where}: non-finite {field_name}: {len(bad)} of {array.size} numbers, the first "
+                f"at step {bad[0, 0]}. Leave the demonstration out, or record it again."
+            )

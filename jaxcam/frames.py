@@ -19,8 +19,9 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
+from jaxcam.check_cameras import require_possible
 from jaxcam.demos import Demo, Demos, Header
-from jaxcam.errors import DatasetError
+from jaxcam.errors import DatasetError, SimError
 from jaxcam.locks import exclusive
 from jaxcam.progress import progress
 from jaxcam.rays import Camera
@@ -63,36 +64,62 @@ def load_frames(demos: Demos, resolution: int, console: Console | None = None) -
         console: for progress; silent when None.
 
     Raises:
-        DatasetError: if the disk has no room for them.
+        CameraError: if the cameras cannot have seen the demonstrations.
+        DatasetError: if the disk has no room for them, or they are damaged.
+        SimError: if pictures come out blank.
     """
-    every = demos.train + demos.valid
-    counts = np.array([d.length * len(d.cameras) for d in every])
-    first = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    require_possible(demos)
     name = f"{demos.path.stem}-{demos.fingerprint}-{resolution}px-{_scene(demos.header).look}.npy"
     path = demos.path.parent / "frames" / name
     if not path.exists():
         with exclusive(path, console):
             if not path.exists():
-                _render(path, demos, resolution, first, counts, console)
-    pictures = np.load(path, mmap_mode="r")
-    return Frames(pictures, first, np.array([len(d.cameras) for d in every]))
+                _render(path, demos, resolution, console)
+    return open_frames(path, demos, resolution)
 
 
-def _render(
-    path: Path,
-    demos: Demos,
-    resolution: int,
-    first: np.ndarray,
-    counts: np.ndarray,
-    console: Console | None,
-) -> None:
+def open_frames(path: Path, demos: Demos, resolution: int) -> Frames:
+    """Opens a cache.
+
+    Args:
+        path: of the cache.
+        demos: the dataset whose pictures it holds.
+        resolution: side of the pictures (pixels).
+
+    Raises:
+        DatasetError: if it is not what was written.
+    """
+    first, counts = _places(demos)
+    shape = (int(counts.sum()), resolution, resolution, 3)
+    try:
+        pictures = np.load(path, mmap_mode="r")
+        found = f"{pictures.dtype} {list(pictures.shape)}"
+    except (OSError, ValueError, EOFError) as error:
+        pictures, found = None, f"{path.stat().st_size} bytes that cannot be read ({error})"
+    if pictures is None or pictures.shape != shape or pictures.dtype != np.uint8:
+        raise DatasetError(
+            f"{path}: the pictures should be uint8 {list(shape)}, but are {found}. Delete the "
+            "file; they are drawn anew."
+        )
+    windows = np.array([len(d.cameras) for d in demos.train + demos.valid])
+    return Frames(pictures, first, windows)
+
+
+def _places(demos: Demos) -> tuple[np.ndarray, np.ndarray]:
+    """First frame and number of frames of each demonstration."""
+    counts = np.array([d.length * len(d.cameras) for d in demos.train + demos.valid])
+    return np.concatenate([[0], np.cumsum(counts)[:-1]]), counts
+
+
+def _render(path: Path, demos: Demos, resolution: int, console: Console | None) -> None:
+    first, counts = _places(demos)
     frames = int(counts.sum())
     _check_room(path, frames * resolution * resolution * 3)
     part = _Part(path, (frames, resolution, resolution, 3))
     rest = (demos.train + demos.valid)[part.done :]
-    views = [_view(demo, demos, resolution) for demo in rest]
+    wanted = [views_of(demo, demos, resolution) for demo in rest]
     with progress(console, "rendering", frames, done=int(counts[: part.done].sum())) as advance:
-        for i, pictures in enumerate(_draw(demos.header, resolution, views), part.done):
+        for i, pictures in enumerate(_draw(demos.header, resolution, wanted), part.done):
             part.write(int(first[i]), pictures, i + 1)
             advance(len(pictures))
     part.finish()
@@ -102,7 +129,8 @@ def _draw(header: Header, resolution: int, views: list[View]) -> Iterator[np.nda
     """Pictures of each view in order; by one process a core where one draws with one thread."""
     workers = min(os.cpu_count() or 1, len(views) // DEMOS_PER_WORKER)
     if workers < 2 or _scene(header).painter_uses_all_cores:
-        yield from map(_renderer(header.task, header.scene, resolution).rgb, views)
+        draw = functools.partial(_draw_view, header.task, header.scene, resolution)
+        yield from map(draw, views)
         return
     # Not forked: JAX has threads. The pool asks for the main module's file when it spawns.
     with ProcessPoolExecutor(
@@ -114,9 +142,7 @@ def _draw(header: Header, resolution: int, views: list[View]) -> Iterator[np.nda
         work = deque[Future[np.ndarray]]()
         try:
             for view in views:
-                work.append(
-                    pool.submit(_draw_in_worker, header.task, header.scene, resolution, view)
-                )
+                work.append(pool.submit(_draw_view, header.task, header.scene, resolution, view))
                 if len(work) > 2 * workers:
                     yield work.popleft().result()
             while work:
@@ -131,8 +157,24 @@ def _renderer(task_name: str, scene_name: str, resolution: int) -> Painter:
     return task.scene(scene_name).painter(resolution, varied=task.varied)
 
 
-def _draw_in_worker(task: str, scene: str, resolution: int, view: View) -> np.ndarray:
-    return _renderer(task, scene, resolution).rgb(view)
+def is_blank(picture: np.ndarray) -> bool:
+    """Whether a picture [H, W, 3] is of one colour: a fault of its renderer."""
+    return not np.ptp(picture, (0, 1)).any()
+
+
+def _draw_view(task: str, scene: str, resolution: int, view: View) -> np.ndarray:
+    """Pictures of a view; if some are blank, by another renderer, once."""
+    for _ in range(2):
+        pictures = _renderer(task, scene, resolution).rgb(view)
+        blank = sum(map(is_blank, pictures))
+        if not blank:
+            return pictures
+        _renderer.cache_clear()
+    raise SimError(
+        f"{blank} of {len(pictures)} pictures of a demonstration of {task}, {scene} are of one "
+        "colour, and again with another renderer. Free the graphics card's memory, or look where "
+        "the cameras are: python -m jaxcam.check DATASET. What was drawn is kept."
+    )
 
 
 def _scene(header: Header) -> World:
@@ -151,7 +193,7 @@ def _check_room(path: Path, size: int) -> None:
         )
 
 
-def _view(demo: Demo, demos: Demos, resolution: int) -> View:
+def views_of(demo: Demo, demos: Demos, resolution: int) -> View:
     """Every frame of a demonstration in the cache's order: time, then camera."""
     cameras, length = len(demo.cameras), demo.length
     qpos = demo.qpos(demos.header.nq)[:length].repeat(cameras, 0)

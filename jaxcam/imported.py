@@ -9,7 +9,8 @@ from rich.console import Console
 
 from jaxcam.collect import camera_windows, new_header
 from jaxcam.config import CollectConfig, ImportConfig, with_task
-from jaxcam.demos import Demo, Demos, DemoWriter, read_demos
+from jaxcam.demo_writer import DemoWriter
+from jaxcam.demos import Demo, Demos, read_demos
 from jaxcam.errors import DatasetError
 from jaxcam.locks import exclusive
 from jaxcam.rotations import matrix_from_quaternion

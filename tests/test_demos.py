@@ -13,7 +13,8 @@ from conftest import TINY
 
 from jaxcam.collect import collect, dataset_path
 from jaxcam.config import CollectConfig
-from jaxcam.demos import DemoWriter, read_demos
+from jaxcam.demo_writer import DemoWriter
+from jaxcam.demos import read_demos
 from jaxcam.errors import DatasetError
 from jaxcam.rays import stair_cameras
 
@@ -32,7 +33,7 @@ import os, signal, sys
 import h5py
 from jaxcam.collect import collect
 from jaxcam.config import CollectConfig
-from jaxcam.demos import DemoWriter
+from jaxcam.demo_writer import DemoWriter
 append, create, count = DemoWriter.append, h5py.Group.create_dataset, 0
 def count_and_append(self, index, demo):
     global count

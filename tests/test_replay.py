@@ -8,7 +8,8 @@ import pytest
 
 from jaxcam import replay as replay_module
 from jaxcam.actions import ACTION_SPACES, controller_of, demo_actions
-from jaxcam.demos import DemoWriter, read_demos
+from jaxcam.demo_writer import DemoWriter
+from jaxcam.demos import read_demos
 from jaxcam.replay import main, replay, replay_all
 from jaxcam.sim.native import NativeEngine
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from jaxcam.actions import encode
+from jaxcam.check import examine
 from jaxcam.config import RobomimicConfig, TrainConfig
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.frames import Frames
@@ -348,3 +349,18 @@ def test_help_is_fast():
     )
     assert "--filter-key" in shown.stdout
     assert time.perf_counter() - began < 3
+
+
+def test_the_doctor_examines_a_file_as_it_would_be_imported(files, tmp_path):
+    path = tmp_path / "lift.hdf5"
+    path.write_bytes(files["1.5"].read_bytes())
+    report = examine(path, 1)
+    assert "as jaxcam imports it" in report.subtitle
+    assert {f.mark for f in report.findings} == {"good"}, report.findings
+    assert any(f.what == "replay, joint_delta" for f in report.findings)
+    with h5py.File(path, "r+") as file:
+        del file["data/demo_1/states"]
+    (finding,) = examine(path, 1).findings
+    assert finding.mark == "bad"
+    assert "data/demo_1: no " in finding.got
+    assert list(tmp_path.iterdir()) == [path]

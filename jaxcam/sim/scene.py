@@ -78,6 +78,7 @@ class Scene(World):
 
     engines: ClassVar[tuple[str, ...]] = ("native", "mjx-jax", "mjx-warp")
     packages: ClassVar[tuple[str, ...]] = ("mujoco", "robosuite")
+    table_top: ClassVar[float] = TABLE_TOP
 
     physics: mujoco.MjModel
     """Slim model that engines step."""

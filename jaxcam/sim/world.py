@@ -53,6 +53,9 @@ class World(ABC):
     packages: ClassVar[tuple[str, ...]]
     """Distributions whose versions shape what happens in it."""
 
+    table_top: ClassVar[float]
+    """Height of the table's surface (m)."""
+
     name: str
     """`fixed` or `randomized`."""
     nq: int

@@ -57,6 +57,7 @@ class SapienWorld(World):
 
     engines: ClassVar[tuple[str, ...]] = ("sapien",)
     packages: ClassVar[tuple[str, ...]] = ("mani-skill", "sapien", "torch")
+    table_top: ClassVar[float] = 0.0
 
     task: str
     """Name of the task."""
