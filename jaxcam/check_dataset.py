@@ -237,7 +237,7 @@ def _gripper(every: Sequence[Demo]) -> Finding:
 
 def _constants(every: Sequence[Demo]) -> Finding:
     spread = np.ptp(np.concatenate([d.actions for d in every]), axis=0)
-    constant = [name for name, s in zip(COMMAND, spread, strict=True) if s <= STILL]
+    constant = [name for name, s in zip(COMMAND[:-1], spread[:-1], strict=True) if s <= STILL]
     if not constant:
         return Finding("constant commands", "good", "none")
     fix = "Statistics have a floor, so nothing blows up; but a policy learns nothing of these."

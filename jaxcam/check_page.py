@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from jaxcam import page
 from jaxcam.camera_plots import camera_poses
 from jaxcam.demos import Demos
-from jaxcam.findings import Finding
+from jaxcam.findings import Finding, named
 from jaxcam.plot_style import BLUE, GREY, panels, save, styled
 from jaxcam.rundir import write_atomically
 from jaxcam.sim.task import Task
@@ -52,7 +52,7 @@ def write_page(report: Report, path: Path) -> Path:
         "".join(tell(_in_words(f)) for f in report.findings if f.mark == mark)
         for mark, tell in (("bad", page.notice), ("note", page.text))
     )
-    rows = [(f.mark, f.what, f.got) for f in report.findings]
+    rows = [(f.mark, named(f), f.got) for f in report.findings]
     sections = (
         page.section("To mend", bad),
         page.section("To know", page.card(notes) if notes else ""),
@@ -102,9 +102,8 @@ def _ways(demos: Demos) -> Figure:
 
 
 def _in_words(finding: Finding) -> str:
-    where = f", {finding.where}" if finding.where else ""
     expected = f" (expected: {finding.expected})" if finding.expected else ""
-    return f"{finding.what}{where}: {finding.got}{expected}. {finding.fix}"
+    return f"{named(finding)}: {finding.got}{expected}. {finding.fix}"
 
 
 def _numbers(rows: Sequence[Sequence[str]]) -> str:

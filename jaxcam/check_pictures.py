@@ -49,12 +49,14 @@ def check_caches(demos: Demos, task: Task, scene: World, count: int) -> Iterator
         path, (fingerprint, side, look) = folder / match.string, match.groups()
         what = f"pictures, {side} px"
         if fingerprint != demos.fingerprint or look != scene.look:
-            other = "content" if fingerprint != demos.fingerprint else f"renderer, {look}"
+            other = "of other content"
+            if fingerprint == demos.fingerprint:
+                other = f"by another renderer, {look}"
             size = path.stat().st_size / 1e6
             yield Finding(
                 what,
                 "note",
-                f"drawn of another {other}: not used",
+                f"drawn {other}: not used",
                 where=path.name,
                 fix=f"Delete it to have {size:.0f} MB back.",
             )

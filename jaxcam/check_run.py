@@ -50,7 +50,7 @@ def check_run(folder: Path, console: Console | None = None) -> Iterator[Finding]
     yield Finding("configuration", "good", f"{said}{config.seed}")
     whole: Sides = {}
     yield from _checkpoints(folder, whole, console)
-    yield _dataset(config, whole)
+    yield _dataset(folder, config, whole)
     yield _metrics(folder)
     yield from _evaluations(folder, config.pairs)
     yield _environment(folder)
@@ -100,10 +100,15 @@ def _checkpoints(folder: Path, whole: Sides, console: Console | None) -> Iterato
         )
 
 
-def _dataset(config: TrainConfig, whole: Sides) -> Finding:
+def _dataset(folder: Path, config: TrainConfig, whole: Sides) -> Finding:
     """Whether the demonstrations are where the run found them, and still the same."""
     what = "dataset"
     path = Path(config.dataset) if config.dataset else dataset_path(collect_config(config))
+    if not path.exists():
+        # Relative to where the run was started, if its folder still is where it was made.
+        depth = len(Path(config.run_dir).parts)
+        if folder.absolute().parts[-depth:] == Path(config.run_dir).parts:
+            path = folder.absolute().parents[depth - 1] / path
     if not path.exists():
         fix = "Resuming needs it: run from the folder the run was started in, or pass --data-dir."
         if not config.dataset:

@@ -43,17 +43,19 @@ def some(names: Sequence[object], most: int = 5) -> str:
 
 def show(findings: Sequence[Finding], console: Console) -> None:
     """Prints findings as a table, and below it how to mend what is not good."""
-    columns = ("where", "found", "expected")
-    used = [c for c in columns if c == "found" or any(_cell(f, c) for f in findings)]
-    table = Table("what", "", *used)
+    table = Table("what", "", "found")
     for finding in findings:
         mark = Text(finding.mark, COLOURS[finding.mark])
-        table.add_row(finding.what, mark, *(Text(_cell(finding, c)) for c in used))
+        found = finding.got
+        if finding.expected and finding.mark != "good":
+            found += f"\nexpected: {finding.expected}"
+        table.add_row(Text(named(finding)), mark, Text(found))
     console.print(table)
     for finding in findings:
         if finding.fix:
             console.print(Text(f"{finding.what}: {finding.fix}"), soft_wrap=True)
 
 
-def _cell(finding: Finding, column: str) -> str:
-    return finding.got if column == "found" else getattr(finding, column)
+def named(finding: Finding) -> str:
+    """What a finding is about, and where."""
+    return f"{finding.what}, {finding.where}" if finding.where else finding.what

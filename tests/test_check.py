@@ -327,12 +327,15 @@ def test_an_evaluation_that_was_stopped_says_how_to_go_on(run):
 
 
 def test_a_dataset_that_is_gone_or_another(run, demos, tmp_path):
-    config = replace(CONFIG, data_dir=str(tmp_path))
+    config = replace(CONFIG, data_dir=tmp_path.name, run_dir="runs/a")
     (run / "config.json").write_text(to_json(config))
     assert findings(run)["dataset"].mark == "note"
-    shutil.copy(demos.path, tmp_path)
+    (tmp_path / tmp_path.name).mkdir()  # where the run was started, not where it is checked
+    path = tmp_path / tmp_path.name / demos.path.name
+    shutil.copy(demos.path, path)
+    assert findings(run)["dataset"].where == str(path)
     assert findings(run)["dataset"].mark == "good"
-    with h5py.File(tmp_path / demos.path.name, "r+") as file:
+    with h5py.File(path, "r+") as file:
         del file["data"].attrs["sha256"]
         file["data/demo_0/actions"][0, 0] += 0.01
     found = findings(run)["dataset"]
