@@ -56,7 +56,7 @@ class Case:
 
     def __init__(self, task: ManiSkillTask, args: argparse.Namespace, children: int) -> None:
         world: SapienWorld = task.scene("randomized")
-        self._pool = Pool(world, children)
+        self._pool = Pool(world, most=children)
         self._engine = SapienEngine(world, "osc_pose", self._pool)
         self._painter = SapienPainter(world, args.size, pool=self._pool)
         self._start: Start = starts(task, world, range(args.worlds))

@@ -24,11 +24,12 @@ NAMES: dict[str, tuple[str, ...]] = {
     "schedule": ("constant", "cosine"),
     "optimizer": ("adamw", "adam"),
     "precision": ("float32", "bfloat16"),
+    "log": ("tensorboard", "wandb"),
     "stem": ("keep", "new"),
     "split": ("test", "validation"),
     "protocol": ("one", "paper"),
     "cluster": ("none", "slurm", "local"),
-    "engine": ("auto", "native", "mjx-jax", "mjx-warp", "sapien"),
+    "engine": ("auto", "native", "mjx-jax", "mjx-warp", "sapien", "sapien-gpu"),
 }
 
 # What presets give unless they say otherwise.

@@ -29,8 +29,7 @@ def engine_name(name: str, scene: "World") -> str:
     """The engine meant by a setting.
 
     Args:
-        name: `auto`, or an engine's. `auto` is mjx-warp on an accelerator, where the world can be
-            stepped there, and the one that makes demonstrations elsewhere.
+        name: `auto`, or an engine's. `auto` is the world's fastest on this machine.
         scene: the world.
 
     Raises:
@@ -45,10 +44,7 @@ def engine_name(name: str, scene: "World") -> str:
                 f"{', '.join(scene.engines)}, can."
             )
         return name
-    import jax
-
-    is_fast = jax.default_backend() != "cpu" and "mjx-warp" in scene.engines
-    return "mjx-warp" if is_fast else scene.engines[0]
+    return scene.fastest_engine
 
 
 def make_engine(

@@ -105,6 +105,13 @@ class Scene(World):
 
         return MjxEngine(self, controller, varied, "jax" if name == "mjx-jax" else "warp")
 
+    @property
+    def fastest_engine(self) -> str:
+        """MJX-Warp on an accelerator, the C library without."""
+        import jax
+
+        return "native" if jax.default_backend() == "cpu" else "mjx-warp"
+
     def painter(
         self, height: int, width: int | None = None, *, varied: Sequence[str] = ()
     ) -> Painter:

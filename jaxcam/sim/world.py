@@ -84,6 +84,11 @@ class World(ABC):
     ) -> "Engine":
         """The engine of that name, one of `engines`; see `jaxcam.sim.make_engine`."""
 
+    @property
+    @abstractmethod
+    def fastest_engine(self) -> str:
+        """Name of the engine that is the fastest on this machine."""
+
     @abstractmethod
     def painter(
         self, height: int, width: int | None = None, *, varied: Sequence[str] = ()

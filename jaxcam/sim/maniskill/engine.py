@@ -8,12 +8,12 @@ from jaxcam.sim.controllers import CONTROL_HZ
 from jaxcam.sim.engine import Command, ControllerName, Engine, Start, State
 from jaxcam.sim.maniskill import kinematics
 from jaxcam.sim.maniskill.memory import ROWS
-from jaxcam.sim.maniskill.pool import Child, Pool, pool_of
+from jaxcam.sim.maniskill.pool import Child, Pool
 from jaxcam.sim.maniskill.task import SapienWorld
 
 
 class SapienEngine(Engine):
-    """Steps worlds with PhysX on the CPU, spread over child processes.
+    """Steps worlds with PhysX, spread over child processes.
 
     Both controllers end in position targets of the joints' drives, as all of ManiSkill's do:
     `joint_position` hands them over (`pd_joint_pos`), `osc_pose` finds those that reach a pose
@@ -23,17 +23,11 @@ class SapienEngine(Engine):
     Args:
         scene: the world.
         controller: `osc_pose` or `joint_position`.
-        pool: processes that step it; those that all share when None.
+        pool: processes that step it.
     """
 
-    def __init__(
-        self,
-        scene: SapienWorld,
-        controller: ControllerName = "osc_pose",
-        pool: Pool | None = None,
-    ) -> None:
-        self.scene, self.controller = scene, controller
-        self._pool = pool or pool_of(scene)
+    def __init__(self, scene: SapienWorld, controller: ControllerName, pool: Pool) -> None:
+        self.scene, self.controller, self._pool = scene, controller, pool
         about = self._pool.about
         if about["control_hz"] != CONTROL_HZ:
             raise SimError(

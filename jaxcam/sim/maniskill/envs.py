@@ -29,7 +29,7 @@ from jaxcam.rays import sample_poses, sapien_from_opencv
 from jaxcam.rotations import matrix_from_quaternion, quaternion_from_matrix
 from jaxcam.sim import make_task
 from jaxcam.sim.engine import Start, State
-from jaxcam.sim.maniskill.memory import FAR, NEAR
+from jaxcam.sim.maniskill.memory import FAR, JOINTS, NEAR
 from jaxcam.sim.task import starts
 
 ROBOT = "panda_firm"
@@ -63,6 +63,8 @@ class JaxcamEnv(BaseEnv):
     Args:
         scene: `fixed` or `randomized`, as in `jaxcam.sim.task.Task.scene`.
         resolution: height and width (pixels) of the task's cameras, `view_0` and so on.
+        eye: height and width (pixels) of one camera that takes their place: it looks along the
+            actor `eye`, which goes anywhere, on a card too.
         args: see ManiSkill.
         kwargs: see ManiSkill.
     """
@@ -71,22 +73,32 @@ class JaxcamEnv(BaseEnv):
     agent: Any
     scene: Any
     table_scene: Any
+    _eye: Any
     task_name: ClassVar[str]
     table_stretch: ClassVar[float] = 1.0
     """How much longer than ManiSkill's the table of randomised scenes is."""
 
     def __init__(
-        self, *args: Any, scene: str = "fixed", resolution: int = 128, **kwargs: Any
+        self,
+        *args: Any,
+        scene: str = "fixed",
+        resolution: int = 128,
+        eye: tuple[int, int] | None = None,
+        **kwargs: Any,
     ) -> None:
         self.task = make_task(self.task_name)
         self.world = self.task.scene(scene)
         self.start: Start
-        self._resolution, self._seeded = resolution, True
+        self._resolution, self._eye_size, self._seeded = resolution, eye, True
         super().__init__(*args, robot_uids=kwargs.pop("robot_uids", ROBOT), **kwargs)
 
     @property
     def _default_sensor_configs(self) -> list[CameraConfig]:
-        """The task's cameras, at poses of its ranges; `set_cameras` moves them."""
+        """The task's cameras, at poses of its ranges; `set_cameras` moves them. Or the eye."""
+        if self._eye_size:
+            height, width = self._eye_size
+            pose = Pose.create(sapien.Pose())
+            return [CameraConfig("eye", pose, width, height, 1.0, NEAR, FAR, mount=self._eye)]
         fov, side = float(np.deg2rad(self.task.fovy_deg)), self._resolution
         poses = sample_poses(self.task.cameras, self.task.views, 0)
         return [
@@ -105,6 +117,10 @@ class JaxcamEnv(BaseEnv):
             for ground in self.table_scene.ground._objs:
                 _whiten(ground)
             self._seen_table = self._build_seen_table()
+        if self._eye_size:
+            builder = self.scene.create_actor_builder()
+            builder.initial_pose = sapien.Pose()
+            self._eye = builder.build_kinematic(name="eye")
 
     def _build_seen_table(self) -> Any:
         """A table to be seen and moved; what is touched is ManiSkill's, which is hidden."""
@@ -130,16 +146,20 @@ class JaxcamEnv(BaseEnv):
         seeds: Any = self._episode_seed[rows]
         if not self._seeded:
             seeds = self._batched_episode_rng[rows].randint(2**31)
-        self.begin(starts(self.task, self.world, [int(seed) for seed in seeds]), rows)
+        self.begin(starts(self.task, self.world, [int(seed) for seed in seeds]), rows=rows)
 
-    def begin(self, start: Start, rows: np.ndarray | None = None) -> None:
-        """Puts robot, objects and what is seen at a start, at rest.
+    def begin(
+        self, start: Start, *, rows: np.ndarray | None = None, qvel: np.ndarray | None = None
+    ) -> None:
+        """Puts robot, objects and what is seen at a start. On a card `reset` or `put` make it so.
 
         Args:
             start: of the environments in `rows`.
             rows: environments that start; all when None. Only within `reset` may it be some.
+            qvel: velocities [B, nv] of robot and objects; at rest when None.
         """
         rows = np.arange(self.num_envs) if rows is None else rows
+        qvel = np.zeros((len(rows), self.world.nv)) if qvel is None else qvel
         if len(rows) == self.num_envs:
             self.start = start
         else:
@@ -147,25 +167,73 @@ class JaxcamEnv(BaseEnv):
                 *(_replaced(a, rows, b) for a, b in zip(self.start, start, strict=True))
             )
         base = self.world.world_from_base
-        self.agent.reset(self._tensor(start.qpos[:, :9]))
+        self.agent.reset(self._tensor(start.qpos[:, :JOINTS]))
+        self.agent.robot.set_qvel(self._tensor(qvel[:, :JOINTS]))
         self.agent.robot.set_pose(sapien.Pose(base))
-        poses = start.qpos[:, 9:].reshape(len(rows), -1, 7)
-        for actor, pose in zip(self.actors, poses.swapaxes(0, 1), strict=True):
+        poses = start.qpos[:, JOINTS:].reshape(len(rows), -1, 7).swapaxes(0, 1)
+        moves = qvel[:, JOINTS:].reshape(len(rows), -1, 6).swapaxes(0, 1)
+        for actor, pose, move in zip(self.actors, poses, moves, strict=True):
             actor.set_pose(Pose.create(self._tensor(pose)))
-            actor.set_linear_velocity(torch.zeros(3, device=self.device))
-            actor.set_angular_velocity(torch.zeros(3, device=self.device))
+            actor.set_linear_velocity(self._tensor(move[:, :3]))
+            actor.set_angular_velocity(self._tensor(move[:, 3:]))
         for marker, pose in zip(self.markers, start.fixtures[:, 2:].swapaxes(0, 1), strict=True):
             marker.set_pose(Pose.create(self._tensor(pose)))
         if self._seen_table is not None:
             self._seen_table.set_pose(Pose.create(self._tensor(_table(start.fixtures[:, 0]))))
 
-    def state(self) -> State:
-        """Joints and objects, and the grip; [B, ...] as in `jaxcam.sim.engine.State`."""
-        robot, tcp = self.agent.robot, self.agent.tcp.pose
+    def put(self, start: Start, qvel: np.ndarray) -> None:
+        """Puts all environments at states between resets; see `begin`."""
+        self.begin(start, qvel=qvel)
+        self._settle()
+
+    def show(self, start: Start | None, world_from_camera: np.ndarray) -> None:
+        """Puts all environments at a start, unless None, and the eye where it sees from.
+
+        Args:
+            start: of all of them.
+            world_from_camera: OpenCV axes [B, 4, 4].
+        """
+        if start is not None:
+            self.begin(start)
+        poses = [sapien.Pose(np.asarray(sapien_from_opencv(x), float)) for x in world_from_camera]
+        self._eye.set_pose(Pose.create(poses, device=self.device))
+        self._settle()
+
+    def advance(self, targets: np.ndarray) -> None:
+        """One control step of all environments, without observations.
+
+        Args:
+            targets: of the joints' drives (rad, m) [B, 9].
+        """
+        robot = self.agent.robot
+        robot.set_joint_drive_targets(self._tensor(targets), robot.active_joints)
+        if self.gpu_sim_enabled:
+            self.scene.px.gpu_apply_articulation_target_position()
+        for _ in range(self.sim_freq // self.control_freq):
+            self.scene.step()
+        if self.gpu_sim_enabled:
+            self.scene._gpu_fetch_all()
+
+    def _settle(self) -> None:
+        """Hands what was set over to the card, as ManiSkill does after it has set states."""
+        if self.gpu_sim_enabled:
+            self.scene._gpu_apply_all()
+            self.scene.px.gpu_update_articulation_kinematics()
+            self.scene._gpu_fetch_all()
+
+    def numbers(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """A state's qpos [B, nq] and qvel [B, nv], and poses of the grip [B, 7]."""
+        robot = self.agent.robot
         qpos = [robot.get_qpos(), *(actor.pose.raw_pose for actor in self.actors)]
         moves = (part for a in self.actors for part in (a.linear_velocity, a.angular_velocity))
         qvel = [robot.get_qvel(), *moves]
-        qpos, qvel = (common.to_numpy(torch.cat(x, -1)).astype(float) for x in (qpos, qvel))
+        parts = torch.cat(qpos, -1), torch.cat(qvel, -1), self.agent.tcp.pose.raw_pose
+        qpos, qvel, grip = (common.to_numpy(x).astype(float) for x in parts)
+        return qpos, qvel, grip
+
+    def state(self) -> State:
+        """Joints and objects, and the grip; [B, ...] as in `jaxcam.sim.engine.State`."""
+        qpos, qvel, grip = self.numbers()
         count = len(qpos)
         return State(
             qpos=qpos,
@@ -173,8 +241,8 @@ class JaxcamEnv(BaseEnv):
             warmstart=np.zeros_like(qvel),
             closed=np.zeros(count),
             rest=self.start.qpos[:, :7],
-            grip_position=common.to_numpy(tcp.p).astype(float),
-            grip_rotation=matrix_from_quaternion(common.to_numpy(tcp.q).astype(float)),
+            grip_position=grip[:, :3],
+            grip_rotation=matrix_from_quaternion(grip[:, 3:]),
             ok=np.isfinite(qpos).all(-1) & np.isfinite(qvel).all(-1),
         )
 

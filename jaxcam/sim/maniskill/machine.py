@@ -10,7 +10,7 @@ import os
 import subprocess
 import sys
 from importlib.metadata import version
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from jaxcam.errors import SimError
 
@@ -26,22 +26,43 @@ With an NVIDIA card, its driver brings Vulkan; containers need NVIDIA_DRIVER_CAP
 """How to get a Vulkan device."""
 ICD_VARIABLES = ("VK_DRIVER_FILES", "VK_ICD_FILENAMES")
 _LAVAPIPE = ("/usr/share/vulkan/icd.d/lvp_icd*.json", "/etc/vulkan/icd.d/lvp_icd*.json")
-_PROBE = """
+_DRAWING = """
 import sapien, sapien.render
 device = sapien.Device({name!r})
 sapien.render.RenderSystem(device)
 print(sapien.render.get_device_summary().split("GPU: ")[1].splitlines()[0])
 """
+_SIMULATING = """
+import sapien, torch
+assert torch.cuda.is_available(), "PyTorch " + torch.__version__ + " sees no CUDA"
+sapien.physx.enable_gpu()
+sapien.physx.PhysxGpuSystem("cuda")
+print(torch.cuda.get_device_name())
+"""
 _PATIENCE = 120
 
 
 class Device(NamedTuple):
-    """What SAPIEN draws with."""
+    """What SAPIEN draws or simulates with."""
 
     kind: str
     """ManiSkill's `gpu` or `cpu`; empty if there is none."""
     name: str
     """As the driver tells it, or what went wrong."""
+
+    @classmethod
+    def found(cls, kind: str, code: str) -> Self:
+        """Tries code in a process of its own, which prints the device's name."""
+        try:
+            done = subprocess.run(
+                [sys.executable, "-c", code],
+                capture_output=True, text=True, env=environment(), timeout=_PATIENCE, check=False,
+            )  # fmt: skip
+        except subprocess.TimeoutExpired:
+            return cls("", f"no answer within {_PATIENCE} s")
+        told = (done.stderr if done.returncode else done.stdout).strip().splitlines()
+        name = told[-1] if told else f"SAPIEN ended with exit code {done.returncode}"
+        return cls("" if done.returncode else kind, name)
 
 
 def missing_packages() -> list[str]:
@@ -75,21 +96,21 @@ def has_nvidia() -> bool:
 @functools.cache
 def device() -> Device:
     """What SAPIEN can draw with here: an NVIDIA card, else a processor, else nothing."""
-    told = ""
-    for kind, name in (("gpu", "cuda"), ("cpu", "cpu"))[0 if has_nvidia() else 1 :]:
-        try:
-            done = subprocess.run(
-                [sys.executable, "-c", _PROBE.format(name=name)],
-                capture_output=True, text=True, env=environment(), timeout=_PATIENCE, check=False,
-            )  # fmt: skip
-        except subprocess.TimeoutExpired:
-            told = f"no answer within {_PATIENCE} s"
-            continue
-        if done.returncode == 0:
-            return Device(kind, done.stdout.strip().splitlines()[-1])
-        lines = done.stderr.strip().splitlines()
-        told = lines[-1] if lines else f"SAPIEN ended with exit code {done.returncode}"
-    return Device("", told)
+    card = Device.found("gpu", _DRAWING.format(name="cuda")) if has_nvidia() else Device("", "")
+    return card if card.kind else Device.found("cpu", _DRAWING.format(name="cpu"))
+
+
+@functools.cache
+def cuda() -> Device:
+    """The card that ManiSkill simulates and draws on; without one its `kind` is empty.
+
+    SAPIEN downloads PhysX's library for cards when it is first asked for.
+    """
+    if not has_nvidia():
+        return Device("", "there is no NVIDIA card with its driver")
+    if device().kind != "gpu":
+        return Device("", f"SAPIEN cannot draw on the card ({device().name})")
+    return Device.found("gpu", _SIMULATING)
 
 
 def require() -> None:
@@ -110,4 +131,18 @@ def require() -> None:
     if not device().kind:
         raise SimError(
             f"SAPIEN found no Vulkan device to draw with ({device().name}).\n{VULKAN}\n{hint}"
+        )
+
+
+def require_cuda() -> None:
+    """Makes sure that ManiSkill can simulate on a card.
+
+    Raises:
+        SimError: if not; the message says why.
+    """
+    require()
+    if not cuda().kind:
+        raise SimError(
+            f"The engine sapien-gpu simulates on an NVIDIA card, but {cuda().name}. The engine "
+            "sapien does without."
         )

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-ROWS = 256
+ROWS = 2048
 """Worlds, or views, of one request at most."""
 NEAR, FAR = 0.01, 100.0
 """Clipping distances (m) of cameras, ManiSkill's."""

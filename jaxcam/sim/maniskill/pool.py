@@ -22,10 +22,10 @@ from socket import socketpair
 from typing import Any
 
 from jaxcam.errors import SimError
-from jaxcam.sim.maniskill.machine import device, environment, require
+from jaxcam.sim.maniskill.machine import device, environment, require, require_cuda
 from jaxcam.sim.maniskill.memory import Memory, Sizes, open_memory
 from jaxcam.sim.maniskill.task import SapienWorld
-from jaxcam.sim.maniskill.worker import Assignment
+from jaxcam.sim.maniskill.worlds import Assignment
 
 STALL = 180.0
 """Time (s) without a sign of work after which a child counts as hung; importing PyTorch and
@@ -45,9 +45,11 @@ class Child:
 
     Args:
         world: the world it simulates.
+        on_gpu: whether it simulates on a card.
     """
 
-    def __init__(self, world: SapienWorld) -> None:
+    def __init__(self, world: SapienWorld, *, on_gpu: bool = False) -> None:
+        self._on_gpu = on_gpu
         self._sizes = Sizes(world.nq, world.nv, 2 + len(world.markers))
         self._world = world
         self._file = os.memfd_create("jaxcam")
@@ -109,7 +111,7 @@ class Child:
         return f"ManiSkill's process {self.pid} ({self._world.env})"
 
     def _start(self) -> None:
-        to = Assignment(self._world.env, self._world.name, device().kind, self._sizes)
+        to = Assignment(self._world.env, self._world.name, self._on_gpu, device().kind, self._sizes)
         told = json.dumps({**asdict(to), "sizes": self._sizes._asdict()})
         ours, theirs = socketpair()
         ends = (theirs.fileno(), self._file)
@@ -165,12 +167,15 @@ class Pool:
 
     Args:
         world: the world.
-        most: children at most; the machine's cores, up to `MOST`, when None.
+        on_gpu: whether one child has all its worlds, and simulates and draws them on a card.
+        most: children at most, on the CPU; the machine's cores, up to `MOST`, when None.
     """
 
-    def __init__(self, world: SapienWorld, most: int | None = None) -> None:
-        self.world = world
-        self._most = most or min(os.cpu_count() or 1, MOST)
+    def __init__(
+        self, world: SapienWorld, *, on_gpu: bool = False, most: int | None = None
+    ) -> None:
+        self.world, self._on_gpu = world, on_gpu
+        self._most = 1 if on_gpu else most or min(os.cpu_count() or 1, MOST)
         self._children: list[Child] = []
         self._hello: dict[str, float] = {}
         atexit.register(self.close)
@@ -186,7 +191,7 @@ class Pool:
         """The children that share `count` worlds or views."""
         wanted = min(self._most, max(1, count // SHARE))
         while len(self._children) < wanted:
-            self._children.append(Child(self.world))
+            self._children.append(Child(self.world, on_gpu=self._on_gpu))
         return self._children[:wanted]
 
     def each(self, requests: Sequence[tuple[Child, tuple[Any, ...]]]) -> list[Any]:
@@ -214,17 +219,17 @@ class Pool:
         self._children.clear()
 
 
-def pool_of(world: SapienWorld) -> Pool:
+def pool_of(world: SapienWorld, *, on_gpu: bool = False) -> Pool:
     """The children of a world, shared by all that step and draw it.
 
     Raises:
         SimError: if this machine cannot run them; the message says what is missing.
     """
-    require()
-    key = (world.task, world.name)
+    require_cuda() if on_gpu else require()
+    key = (world.task, world.name, on_gpu)
     if key not in _pools:
-        _pools[key] = Pool(world)
+        _pools[key] = Pool(world, on_gpu=on_gpu)
     return _pools[key]
 
 
-_pools: dict[tuple[str, str], Pool] = {}
+_pools: dict[tuple[str, str, bool], Pool] = {}

@@ -7,9 +7,9 @@ import numpy as np
 
 from jaxcam.sim.maniskill.machine import device
 from jaxcam.sim.maniskill.memory import PIXELS, ROWS
-from jaxcam.sim.maniskill.pool import Pool, pool_of
+from jaxcam.sim.maniskill.pool import Pool
+from jaxcam.sim.maniskill.studio import SHADER
 from jaxcam.sim.maniskill.task import SapienWorld
-from jaxcam.sim.maniskill.worker import SHADER
 from jaxcam.sim.world import View
 
 RGB_BYTES, LAYER_BYTES = 3, 11
@@ -41,18 +41,14 @@ class SapienPainter:
         scene: the world.
         height: of the pictures (pixels).
         width: of the pictures (pixels); `height` when None.
-        pool: processes that draw it; those that all share when None.
+        pool: processes that draw it.
     """
 
     def __init__(
-        self,
-        scene: SapienWorld,
-        height: int,
-        width: int | None = None,
-        pool: Pool | None = None,
+        self, scene: SapienWorld, height: int, width: int | None = None, *, pool: Pool
     ) -> None:
         self.scene, self.height, self.width = scene, height, width or height
-        self._pool = pool or pool_of(scene)
+        self._pool = pool
 
     def rgb(self, view: View) -> np.ndarray:
         """Pictures, uint8 [B, H, W, 3], top row first."""

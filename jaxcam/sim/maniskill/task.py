@@ -55,7 +55,7 @@ class SapienWorld(World):
     `qvel` the joint velocities, then each object's linear and angular velocity in the world.
     """
 
-    engines: ClassVar[tuple[str, ...]] = ("sapien",)
+    engines: ClassVar[tuple[str, ...]] = ("sapien", "sapien-gpu")
     packages: ClassVar[tuple[str, ...]] = ("mani-skill", "sapien", "torch")
     table_top: ClassVar[float] = 0.0
 
@@ -74,18 +74,28 @@ class SapienWorld(World):
         return JOINTS + 7 * self.objects.index(body)
 
     def engine(self, name: str, controller: ControllerName, varied: Sequence[str] = ()) -> Engine:
-        """PhysX on the CPU, in child processes; see `World.engine`."""
+        """PhysX in child processes, on the CPU or on a card; see `World.engine`."""
         from jaxcam.sim.maniskill.engine import SapienEngine
+        from jaxcam.sim.maniskill.pool import pool_of
 
-        return SapienEngine(self, controller)
+        return SapienEngine(self, controller, pool_of(self, on_gpu=name == "sapien-gpu"))
+
+    @property
+    def fastest_engine(self) -> str:
+        """PhysX on the card, if there is one for it."""
+        from jaxcam.sim.maniskill.machine import cuda
+
+        return "sapien-gpu" if cuda().kind else "sapien"
 
     def painter(
         self, height: int, width: int | None = None, *, varied: Sequence[str] = ()
     ) -> Painter:
         """SAPIEN's rasteriser, in child processes; see `World.painter`."""
+        from jaxcam.sim.maniskill.machine import cuda
+        from jaxcam.sim.maniskill.pool import pool_of
         from jaxcam.sim.maniskill.render import SapienPainter
 
-        return SapienPainter(self, height, width)
+        return SapienPainter(self, height, width, pool=pool_of(self, on_gpu=bool(cuda().kind)))
 
     @property
     def look(self) -> str:
@@ -96,7 +106,7 @@ class SapienWorld(World):
 
     @property
     def painter_uses_all_cores(self) -> bool:
-        """One child process a core draws."""
+        """Each of its child processes draws on a core, or one on the card."""
         return True
 
 
