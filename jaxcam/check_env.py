@@ -56,6 +56,8 @@ def check_env() -> Iterator[Finding]:
         device = machine.device()
         fix = "" if device.kind else machine.VULKAN
         yield Finding("Vulkan device", "good" if device.kind else "note", device.name, fix=fix)
+        card = machine.cuda()
+        yield Finding("ManiSkill on a card", "good" if card.kind else "note", card.name)
     yield _maniskill()
 
 
