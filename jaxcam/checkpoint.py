@@ -1,8 +1,8 @@
 """Checkpoints that are whole or not there, and are never restored unverified.
 
 Orbax writes them; it does not notice a flipped byte in an array. So every checkpoint carries a
-manifest with a SHA-256 of each array, committed together with the arrays, and what does not match
-it is not used: training goes on from the newest checkpoint that does.
+manifest with a SHA-256 of each array, committed together with the arrays, and digests of its files,
+and what does not match is not used: training goes on from the newest checkpoint that does.
 
 A checkpoint is a folder of items: `params`, `ema` if the run keeps one, `train` (step, optimizer)
 and `manifest`, whose `side` holds what is needed to rebuild the policy and to judge a resume.
@@ -28,6 +28,7 @@ from jaxcam.errors import CheckpointError
 from jaxcam.fields import from_json
 from jaxcam.manifest import (
     DamagedError,
+    alone,
     brief,
     describe,
     flatten,
@@ -38,6 +39,7 @@ from jaxcam.manifest import (
     read_params,
     seal,
     to_plain,
+    write_digests,
 )
 from jaxcam.rundir import package_versions
 from jaxcam.state import TrainState
@@ -116,6 +118,8 @@ class Checkpoints:
         options = ocp.CheckpointManagerOptions(
             # A failed asynchronous save is reported by the next one, which may never come.
             enable_async_checkpointing=False,
+            create=False,
+            multiprocessing_options=alone(),
         )
         self._manager = ocp.CheckpointManager(self._directory, options=options)
 
@@ -174,6 +178,10 @@ class Checkpoints:
                 f"Checkpoint {step} could not be written to {self._directory}: "
                 f"{brief(error)}. {self._last()}"
             ) from error
+        try:
+            write_digests(self._directory / str(step))
+        except OSError as error:
+            _log.warning("Checkpoint %d is whole, its files have no digests: %s.", step, error)
         self._prune(side["config"]["save_every"])
 
     def restore_latest(

@@ -39,6 +39,9 @@ class EvaluateConfig:
     videos: int = 16
     """Rollouts shown in each of two videos, of the first pairs and of failures; 0 is none."""
 
+    distributed: bool = False
+    """Be one of several processes that share the rollouts; they find each other as those of
+    `jaxcam.train --distributed` do."""
     def __post_init__(self) -> None:
         check_types(self)
         check_names(self)

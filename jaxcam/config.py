@@ -30,7 +30,7 @@ C = TypeVar("C", "TrainConfig", "CollectConfig", "RobomimicConfig")
 # Settings that leave every update of a run as it was; all others are part of a run's identity.
 FREE_TO_CHANGE = frozenset({
     "pairs", "engine", "ensemble", "data_dir", "dataset", "run_dir", "log_every", "eval_every",
-    "save_every", "keep",
+    "save_every", "keep", "seeds", "log", "distributed",
 })  # fmt: skip
 
 
@@ -57,11 +57,15 @@ class TrainConfig:
     """Cameras the policy sees at once."""
     seed: int = 0
     """Seed of the weights, the order of the data, the crops and the dropout."""
+    seeds: Annotated[tuple[int, ...], default("--seed alone")] = ()
+    """Train these seeds side by side in one program, each as a run of its own."""
 
     steps: FromPreset[int] = PRESET
     """Updates in all."""
     batch: FromPreset[int] = PRESET
     """Samples an update."""
+    accumulate: int = 1
+    """Parts that a batch's gradient is summed over, where the whole does not fit into memory."""
     lr: FromPreset[float] = PRESET
     """Learning rate at its peak."""
     schedule: Annotated[FromPreset[str], one_of("schedule")] = PRESET
@@ -132,12 +136,17 @@ class TrainConfig:
     """Newest checkpoints that are kept."""
     steps_per_call: FromPreset[int] = PRESET
     """Updates in one compiled call. Part of the run's identity: it moves the last digits."""
+    log: Annotated[tuple[str, ...], one_of("log")] = ()
+    """Where metrics go besides metrics.jsonl."""
+    distributed: bool = False
+    """Be one of several processes of one run: on Slurm, Open MPI or Kubernetes they find each
+    other; elsewhere JAX_COORDINATOR_ADDRESS, JAX_NUM_PROCESSES and JAX_PROCESS_ID are read."""
 
     def __post_init__(self) -> None:
         check_types(self)
         check_names(self)
         check_least(self, 1, "views steps batch n demos pairs keep log_every eval_every")
-        check_least(self, 1, "save_every steps_per_call")
+        check_least(self, 1, "save_every steps_per_call accumulate")
         check_least(self, 0, "seed warmup weight_decay m validation ema ema_power clip_norm")
         check_least(self, 0, "final_lr beta1 beta2")
         check_least(self, 16, "resolution")
@@ -368,6 +377,12 @@ def _check_train(config: TrainConfig) -> None:
             raise ConfigError(f"{field} must be below 1, got {value}.")
     if None not in (config.warmup, config.steps) and config.warmup >= config.steps:
         raise ConfigError(f"warmup ({config.warmup}) must be shorter than steps ({config.steps}).")
+    if len(set(config.seeds)) < len(config.seeds) or min(config.seeds, default=0) < 0:
+        raise ConfigError(f"seeds must be different and at least 0, got {config.seeds}.")
+    if config.batch is not None and config.batch % config.accumulate:
+        raise ConfigError(
+            f"batch ({config.batch}) must be a multiple of accumulate ({config.accumulate})."
+        )
     if config.steps_per_call is None:
         return
     for field in ("steps", "log_every", "eval_every", "save_every"):

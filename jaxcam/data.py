@@ -1,7 +1,7 @@
-"""Training batches as a pure function of (seed, step), and the statistics policies normalise by.
+"""Training batches as a pure function of (seed, step, shard), and the statistics of normalisation.
 
-No iterator holds state: `index(seed, step)` names the samples of a step, so a resumed run, another
-prefetch depth or another machine sees the same batches.
+No iterator holds state: `index(seed, step)` names the samples of a step and a shard is a stretch of
+them, so a resumed run, another prefetch depth or other machines see the same batches.
 """
 
 from collections.abc import Generator
@@ -185,7 +185,14 @@ def _keyframes(demo: Demo, scene: World) -> np.ndarray:
 
 
 def stacked_batches(
-    dataset: Dataset, seed: int, first: int, last: int, per_call: int, batch: int, **sizes: int
+    dataset: Dataset,
+    seed: int,
+    first: int,
+    last: int,
+    per_call: int,
+    batch: int,
+    shard: tuple[int, int] = (0, 1),
+    **sizes: int,
 ) -> Generator[tuple[int, Batch], None, None]:
     """Batches of steps `first` to `last`, `per_call` stacked for each compiled call.
 
@@ -197,15 +204,19 @@ def stacked_batches(
         first: step to begin with.
         last: step to stop before.
         per_call: steps stacked on the first axis.
-        batch: samples a step.
+        batch: samples a step, of all shards.
+        shard: which of how many equal shards is read.
         **sizes: `views`, `chunk` and, if there are several, `obs_steps`.
     """
     views, chunk, obs_steps = sizes["views"], sizes["chunk"], sizes.get("obs_steps", 1)
+    number, shards = shard
+    own = slice(number * batch // shards, (number + 1) * batch // shards)
 
     def make(step: int) -> Batch:
+        names = (dataset.index(seed, step + k, batch, views) for k in range(per_call))
         parts = [
-            dataset.batch(*dataset.index(seed, step + k, batch, views), chunk, obs_steps)
-            for k in range(per_call)
+            dataset.batch(demo[own], t[own], cameras[own], chunk, obs_steps)
+            for demo, t, cameras in names
         ]
         return {key: np.stack([p[key] for p in parts]) for key in parts[0]}
 

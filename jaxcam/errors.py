@@ -83,17 +83,26 @@ def run_main(main: Callable[[], object]) -> None:
     try:
         main()
     except JaxcamError as error:
-        _print_boxed(type(error).__name__, str(error))
-        sys.exit(error.exit_code)
+        sys.exit(print_error(error))
     except KeyboardInterrupt:
         sys.exit(130)
 
 
-def _print_boxed(title: str, message: str) -> None:
+def print_error(error: JaxcamError) -> int:
+    """Print an error for people.
+
+    Args:
+        error: What happened.
+
+    Returns:
+        The process's exit code.
+    """
     from rich.console import Console
     from rich.panel import Panel
     from rich.text import Text
 
     # Text, not str: "[0]" in a message is an index, not rich markup.
-    panel = Panel(Text(message), title=title, title_align="left", border_style="red")
+    panel = Panel(Text(str(error)), title=type(error).__name__, title_align="left",
+                  border_style="red")  # fmt: skip
     Console(stderr=True).print(panel)
+    return error.exit_code

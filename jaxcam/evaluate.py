@@ -9,6 +9,8 @@ from jaxcam.fields import cli
 if __name__ == "__main__":
     cli(EvaluateConfig)  # --help and bad flags are answered before the slow imports
 
+import contextlib
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,7 @@ from rich.console import Console
 
 from jaxcam.checkpoint import checkpoint_steps, load_policy_inputs
 from jaxcam.config import TrainConfig
+from jaxcam.devices import gathered, is_first, joined, memory_lacks, shard
 from jaxcam.errors import CheckpointError, JaxcamError, run_main
 from jaxcam.evaluator import Evaluator, Row
 from jaxcam.html import write_report
@@ -30,6 +33,8 @@ from jaxcam.rundir import append_jsonl, read_jsonl
 from jaxcam.sim.rollout import Rollouts
 from jaxcam.stats import USUAL, Estimate, latest_rows, success_rate
 from jaxcam.video import grid, write_video
+
+_log = logging.getLogger(__name__)
 
 
 def evaluate(
@@ -47,7 +52,8 @@ def evaluate(
     """Runs the pairs of a checkpoint that have no row yet, and writes rows, and two videos.
 
     A rollout that ends in an error is run once more; then it is counted, and told, as an error.
-    Several processes may evaluate one run; one waits for the other and goes on where it stopped.
+    The processes of one evaluation share its pairs, and the first of them writes. Separate
+    evaluations of one run wait for each other and go on where the other stopped.
 
     Args:
         evaluator: of the run's task.
@@ -64,19 +70,22 @@ def evaluate(
         The success rate over the pairs, with its interval.
     """
     file = folder / "eval" / "rows.jsonl"
+    horizon, width = evaluator.task.horizon, evaluator.width
+    (number, processes), writes = shard(), is_first()
 
     def rows_so_far() -> list[Row]:
-        return _rows_of(file, evaluator, step, split, pairs)
+        """As the first process reads them, since all are to see the same."""
+        return gathered(_rows_of(file, evaluator, step, split, pairs) if writes else [])[0]
 
     def to_run() -> list[int]:
         return missing(rows_so_far(), pairs)
 
-    horizon = evaluator.task.horizon
-    with exclusive(file, console):
-        store_pairs(file.with_name(f"pairs-{split}.json"), evaluator.pairs(split, range(pairs)))
-        batches = -(-len(to_run()) // evaluator.width)
-        with progress(console, f"step {step}", horizon * batches) as advance:
-            while some := to_run()[: evaluator.width]:
+    with exclusive(file, console) if writes else contextlib.nullcontext():
+        if writes:
+            store_pairs(file.with_name(f"pairs-{split}.json"), evaluator.pairs(split, range(pairs)))
+        turns = -(-len(to_run()) // (width * processes))
+        with progress(console, f"step {step}", horizon * turns) as advance:
+            while some := to_run()[: width * processes]:
                 steps = 0
 
                 def tick() -> None:
@@ -84,12 +93,18 @@ def evaluate(
                     steps += 1
                     advance()
 
-                rows, done = evaluator.run(
-                    policy, params, split, some, step=step, run=folder.name, tick=tick
-                )
+                each = -(-len(some) // processes)
+                mine, rows, done = some[number * each : (number + 1) * each], [], None
+                if mine:  # of a few pairs the last processes get none
+                    with memory_lacks(f"A batch of {width} rollouts", f"--width {width // 2 or 1}"):
+                        rows, done = evaluator.run(
+                            policy, params, split, mine, step=step, run=folder.name, tick=tick
+                        )
                 advance(horizon - steps)
-                append_jsonl(file, *rows, fsync=True)
-                if videos:
+                every = [row for part in gathered(rows) for row in part]
+                if writes:
+                    append_jsonl(file, *every, fsync=True)
+                if writes and done and videos:
                     _write_videos(folder / "videos", evaluator, rows, done, videos)
                     videos = 0
     return success_rate(latest_rows(rows_so_far()))
@@ -112,7 +127,6 @@ def _write_videos(
     folder: Path, evaluator: Evaluator, rows: Sequence[Row], done: Rollouts, most: int
 ) -> None:
     """A video of the first rollouts, and one of the first failures."""
-    folder.mkdir(exist_ok=True)
     split, step = rows[0]["split"], rows[0]["step"]
     failures = [i for i, row in enumerate(rows) if row["status"] == "ok" and not row["success"]]
     for name, chosen in (("", [*range(len(rows))]), ("failures-", failures)):
@@ -123,16 +137,20 @@ def _write_videos(
                 done.success[chosen], done.steps[chosen], done.ok[chosen], done.qpos[:, chosen]
             )
             clips = evaluator.clips(some, split, [row["pair"] for row in shown])
-            write_video(folder / f"{name}{split}-{step:06d}.mp4", grid(clips, rows=shown), fps=10)
+            file = folder / f"{name}{split}-{step:06d}.mp4"
+            try:
+                write_video(file, grid(clips, rows=shown), fps=10)
+            except OSError as error:  # of a full disk, for example: the rows matter more
+                _log.warning("The video %s could not be written: %s.", file, error)
 
 
-def evaluate_run(config: EvaluateConfig, folder: Path, console: Console) -> None:
+def evaluate_run(config: EvaluateConfig, folder: Path, console: Console | None) -> None:
     """Evaluates a run as the settings say, draws, and writes the run's report.
 
     Args:
         config: the settings; `run` in them may name other runs too.
         folder: of the run.
-        console: for progress and results.
+        console: for progress and results; silent when None.
 
     Raises:
         CheckpointError: a checkpoint that is asked for is damaged or missing; the others are done.
@@ -144,9 +162,12 @@ def evaluate_run(config: EvaluateConfig, folder: Path, console: Console) -> None
     policy = rebuild_policy(inputs)
     evaluator = Evaluator(inputs.config, config.width, config.engine, config.ensemble)
     file = folder / "eval" / "rows.jsonl"
-    for i, step in enumerate(steps):
-        if not missing(_rows_of(file, evaluator, step, config.split, config.pairs), config.pairs):
-            continue
+
+    def lacks_rows(step: int) -> bool:
+        rows = _rows_of(file, evaluator, step, config.split, config.pairs)
+        return bool(missing(rows, config.pairs))
+
+    for step in gathered([step for step in steps if lacks_rows(step)])[0]:
         try:
             if step != inputs.step:
                 inputs = load_policy_inputs(folder, step)
@@ -161,24 +182,34 @@ def evaluate_run(config: EvaluateConfig, folder: Path, console: Console) -> None
             step=step,
             split=config.split,
             pairs=config.pairs,
-            videos=0 if i else config.videos,
+            videos=config.videos if step == steps[0] else 0,
             console=console,
         )
+    if is_first():
+        _conclude(config, folder, steps, console)
+    if lacking:
+        raise CheckpointError(" ".join(lacking))
+
+
+def _conclude(
+    config: EvaluateConfig, folder: Path, steps: Sequence[int], console: Console | None
+) -> None:
+    """Draws, writes the run's report and tells the result."""
     rows = [
         r
-        for r in latest_rows(read_jsonl(file))
+        for r in latest_rows(read_jsonl(folder / "eval" / "rows.jsonl"))
         if r["step"] in steps and r["split"] == config.split and r["pair"] < config.pairs
     ]
     write_plots(folder / "plots", read_jsonl(folder / "metrics.jsonl"), rows)
-    what = f"{len(steps)} checkpoints" if len(steps) > 1 else f"step {steps[0]}"
-    console.print(
-        f"{folder.name}: success on {config.pairs} {config.split} pairs at {what}: "
-        f"{success_rate(rows)}",
-        soft_wrap=True,
-    )
-    console.print(f"Report: {write_report(folder)}", soft_wrap=True)
-    if lacking:
-        raise CheckpointError(" ".join(lacking))
+    report = write_report(folder)
+    if console:
+        what = f"{len(steps)} checkpoints" if len(steps) > 1 else f"step {steps[0]}"
+        console.print(
+            f"{folder.name}: success on {config.pairs} {config.split} pairs at {what}: "
+            f"{success_rate(rows)}",
+            soft_wrap=True,
+        )
+        console.print(f"Report: {report}", soft_wrap=True)
 
 
 def _steps(folder: Path, trained: TrainConfig) -> tuple[list[int], list[str]]:
@@ -198,7 +229,20 @@ def _steps(folder: Path, trained: TrainConfig) -> tuple[list[int], list[str]]:
 def main() -> None:
     """The command line."""
     config = cli(EvaluateConfig)
-    console = Console()
+    with joined(config.distributed):
+        evaluate_runs(config, Console() if is_first() else None)
+
+
+def evaluate_runs(config: EvaluateConfig, console: Console | None = None) -> None:
+    """Evaluates the runs that the settings name, each as well as it can be.
+
+    Args:
+        config: the settings.
+        console: for progress and results; silent when None.
+
+    Raises:
+        JaxcamError: a run could not be evaluated; the others are done.
+    """
     errors = []
     for run in config.run:
         try:
@@ -206,7 +250,8 @@ def main() -> None:
         except JaxcamError as error:  # the other runs do not depend on this one
             if len(config.run) == 1:
                 raise
-            console.print(f"{run}: {error}", style="red", soft_wrap=True, markup=False)
+            if console:
+                console.print(f"{run}: {error}", style="red", soft_wrap=True, markup=False)
             errors.append(error)
     if errors:
         raise errors[0]

@@ -6,10 +6,12 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax.sharding import Mesh
 from jax.tree_util import Partial
 
 from jaxcam.actions import controller_of
 from jaxcam.config import TrainConfig
+from jaxcam.devices import copied, data_mesh, spread
 from jaxcam.frames import intrinsics
 from jaxcam.models import Policy
 from jaxcam.pairs import Pairs, make_pairs
@@ -84,11 +86,16 @@ class Evaluator:
         filled = [*pairs, *[pairs[-1]] * (self.width - len(pairs))]
         chosen = self.pairs(split, filled)
         cameras, digests = chosen.cameras, chosen.digests()
-        act = Partial(_Acting(policy.act), params, jax.random.key(config.seed))
+        mesh = None
+        if not self.engine_name.startswith("mjx"):  # those are one program, on one device
+            mesh = data_mesh(self.width, everywhere=False)
+            params = copied(mesh, params)
+        act = _Acting(policy.act, mesh)
+        acting = Partial(act, params, jax.random.key(config.seed))
         K = intrinsics(task.fovy_deg, config.resolution)
         ahead = spec.chunk - spec.obs_steps + 1  # steps that a chunk reaches into the future
         done = rollout(
-            act,
+            acting,
             task,
             self.scene,
             self.engine,
@@ -174,6 +181,10 @@ class _Acting:
     """A policy's `act` with chance of its own for every call."""
 
     act: Callable[..., jax.Array]
+    mesh: Mesh | None = None
+    """Devices that share the batch, if it comes from the host."""
 
     def __call__(self, params: Any, root: jax.Array, obs: Any, number: jax.Array) -> jax.Array:
+        if self.mesh:
+            obs = spread(self.mesh, obs)
         return jax.jit(self.act)(params, obs, jax.random.fold_in(root, number))

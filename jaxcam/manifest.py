@@ -1,7 +1,9 @@
 """What is in a checkpoint, written so that any change of it is noticed.
 
 Arrays are named by their path in the training state and stored by orbax in items. The manifest
-lists each array's dtype, shape and SHA-256, and has a digest of itself.
+lists each array's dtype, shape and SHA-256, and has a digest of itself; it is committed with them.
+Digests of all files follow it, for the bytes that no array is made of. Where a crash came before
+them, the manifest alone is what arrays are held against.
 """
 
 import hashlib
@@ -13,6 +15,11 @@ from typing import Any
 import jax
 import numpy as np
 import orbax.checkpoint as ocp
+
+from jaxcam.rundir import write_atomically
+
+FILES = "files.json"
+"""File of a checkpoint with the digests of all its others."""
 
 
 class DamagedError(Exception):
@@ -48,7 +55,52 @@ def seal(content: dict[str, Any]) -> dict[str, Any]:
     return {**content, "sha256": hashlib.sha256(text.encode()).hexdigest()}
 
 
+def alone() -> ocp.options.MultiprocessingOptions:
+    """Orbax's options for a process that reads and writes without waiting for others."""
+    index = jax.process_index()
+    return ocp.options.MultiprocessingOptions(primary_host=index, active_processes={index})
+
+
+def write_digests(folder: Path) -> None:
+    """Write down the digests of a checkpoint's files."""
+    write_atomically(folder / FILES, json.dumps(seal({"files": _digests(folder)})))
+
+
+def _digests(folder: Path, item: str | None = None) -> dict[str, str]:
+    """Digests of the files of an item, or of all; those that lie loose belong to the manifest."""
+    digests = {}
+    for path in sorted(p for p in folder.rglob("*") if p.is_file()):
+        place, name = path.relative_to(folder), str(path.relative_to(folder))
+        owner = place.parts[0] if len(place.parts) > 1 else "manifest"
+        if item in (None, owner) and not name.startswith(FILES):
+            with open(path, "rb") as file:
+                digests[name] = hashlib.file_digest(file, "sha256").hexdigest()
+    return digests
+
+
+def _check_files(folder: Path, item: str) -> None:
+    """Compare the files of an item with their digests, if those were written."""
+    if not (folder / FILES).exists():
+        return
+    try:
+        stored = json.loads((folder / FILES).read_text())
+        files = stored["files"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise DamagedError(f"{FILES} cannot be read ({brief(error)})") from error
+    if stored != seal({"files": files}):
+        raise DamagedError(f"{FILES} has changed since it was written")
+    try:
+        found = _digests(folder, item)
+    except OSError as error:
+        raise DamagedError(f"{item} cannot be read ({brief(error)})") from error
+    owned = {n: d for n, d in files.items() if n.startswith(f"{item}/") or n in found}
+    for name in sorted(owned | found):
+        if owned.get(name) != found.get(name):
+            raise DamagedError(f"the file {name} has changed since it was written")
+
+
 def _read_manifest(folder: Path) -> dict[str, Any]:
+    _check_files(folder, "manifest")
     try:
         manifest = json.loads((folder / "manifest" / "metadata").read_text())
         content = {k: manifest[k] for k in ("step", "side", "leaves")}
@@ -63,10 +115,12 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
 
 def _read_item(folder: Path, item: str, described: Mapping[str, list[Any]]) -> dict[str, Any]:
     """The arrays of one item, each compared with its description in the manifest."""
+    _check_files(folder, item)
     stored = [name for name, (_, shape, _) in described.items() if 0 not in shape]
     as_numpy = {name: ocp.RestoreArgs(restore_type=np.ndarray) for name in stored}
     try:
-        with ocp.Checkpointer(ocp.PyTreeCheckpointHandler()) as checkpointer:
+        handler = ocp.PyTreeCheckpointHandler(multiprocessing_options=alone())
+        with ocp.Checkpointer(handler, multiprocessing_options=alone()) as checkpointer:
             args = ocp.args.PyTreeRestore(restore_args=as_numpy)
             found = checkpointer.restore(folder / item, args=args) if stored else {}
     except Exception as error:  # Orbax raises bare exceptions for truncated files.

@@ -21,8 +21,9 @@ from jaxcam.stats import USUAL, Estimate, Row, latest_rows, success_rate
 Settings = dict[str, Any]
 
 # Of the settings that leave training as it was, these say what was trained on and how the
-# policy was run; seeds and calls differ between runs that are compared as one.
-_NO_IDENTITY = (FREE_TO_CHANGE | {"seed", "steps_per_call"}) - {"dataset", "engine", "ensemble"}
+# policy was run; seeds and how updates are computed differ between runs compared as one.
+_OWN = {"seed", "steps_per_call", "accumulate"}
+_NO_IDENTITY = (FREE_TO_CHANGE | _OWN) - {"dataset", "engine", "ensemble"}
 _NAMED = ("task", "scene", "policy", "preset", "conditioning")
 _KEPT = ("step", "split", "pair", "pair_sha", "success", "status", "steps", "azimuth_deg",
          "elevation_deg", "distance", "renderer", "width")  # fmt: skip

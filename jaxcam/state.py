@@ -6,6 +6,7 @@ stream and the step alone, so a run that was stopped goes on exactly where it wa
 
 import dataclasses
 import enum
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -150,6 +151,7 @@ def train_step(
     augment: Augment | None = None,
     ema: float = 0.0,
     ema_power: float = 0.0,
+    accumulate: int = 1,
 ) -> tuple[TrainState, Metrics]:
     """One update; skipped, and counted, if loss or gradient are not finite.
 
@@ -162,6 +164,7 @@ def train_step(
         augment: Changes the batch by a key, before the loss.
         ema: Largest decay of the moving average.
         ema_power: How the decay rises, see `ema_decay`.
+        accumulate: Parts of the batch that gradients are summed over.
 
     Returns:
         The state after the update, and scalars: those of the loss, "loss", "grad_norm", "skipped".
@@ -169,7 +172,7 @@ def train_step(
     if augment is not None:
         batch = augment(batch, stream_key(root, Stream.CROP, state.step))
     key = stream_key(root, Stream.DROPOUT, state.step)
-    (value, metrics), grads = jax.value_and_grad(loss, has_aux=True)(state.params, batch, key)
+    (value, metrics), grads = _gradient(loss, state.params, batch, key, accumulate)
     norm = optax.tree.norm(grads)
     is_good = jnp.isfinite(value) & jnp.isfinite(norm)
 
@@ -186,6 +189,25 @@ def train_step(
     return TrainState(state.step + 1, params, opt, bad_steps, average), metrics
 
 
+def _gradient(
+    loss: Loss, params: Params, batch: Batch, key: jax.Array, parts: int
+) -> tuple[tuple[jax.Array, Metrics], Params]:
+    """Loss, its metrics and gradient: of the batch, or the mean over as many equal parts of it."""
+    gradient = jax.value_and_grad(loss, has_aux=True)
+    if parts == 1:
+        return gradient(params, batch, key)
+    # Every so many-th sample, not a stretch: then each device goes on with its own ones.
+    split = {k: x.reshape(-1, parts, *x.shape[1:]).swapaxes(0, 1) for k, x in batch.items()}
+
+    def add(total: Any, part: tuple[Batch, jax.Array]) -> tuple[Any, None]:
+        return jax.tree.map(jnp.add, total, gradient(params, *part)), None
+
+    shapes = jax.eval_shape(gradient, params, {k: x[0] for k, x in split.items()}, key)
+    zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+    total, _ = jax.lax.scan(add, zeros, (split, jax.random.split(key, parts)))
+    return jax.tree.map(lambda x: x / parts, total)
+
+
 def make_train_chunk(
     loss: Loss,
     tx: optax.GradientTransformation,
@@ -193,6 +215,9 @@ def make_train_chunk(
     augment: Augment | None = None,
     ema: float = 0.0,
     ema_power: float = 0.0,
+    accumulate: int = 1,
+    seeds: int = 1,
+    out_shardings: jax.sharding.Sharding | None = None,
 ) -> Callable[[TrainState, Batch, jax.Array], tuple[TrainState, Metrics]]:
     """Compile several updates into one call.
 
@@ -202,19 +227,25 @@ def make_train_chunk(
         augment: Changes the batch by a key, before the loss.
         ema: Largest decay of the moving average.
         ema_power: How the decay rises, see `ema_decay`.
+        accumulate: Parts of the batch that gradients are summed over.
+        seeds: Runs that are updated side by side. With several, `state`, `root` and `metrics` have
+            them as their first axis, `batches` as the second.
+        out_shardings: Where the results lie; the compiler's choice when None.
 
     Returns:
         `train_chunk(state, batches, root) -> (state, metrics)`. Arrays in `batches` and `metrics`
         have the updates as their first axis. The state is donated: do not use it again.
     """
+    step_of = functools.partial(
+        train_step, loss=loss, tx=tx, augment=augment, ema=ema, ema_power=ema_power,
+        accumulate=accumulate,
+    )  # fmt: skip
 
     def train_chunk(
         state: TrainState, batches: Batch, root: jax.Array
     ) -> tuple[TrainState, Metrics]:
         def step(state: TrainState, batch: Batch) -> tuple[TrainState, Metrics]:
-            return train_step(
-                state, batch, root, loss=loss, tx=tx, augment=augment, ema=ema, ema_power=ema_power
-            )
+            return step_of(state, batch, root)
 
         if jax.tree.leaves(batches)[0].shape[0] == 1:
             # Not a loop of one: on CPUs XLA runs convolutions in loops 6 to 17 times slower.
@@ -222,14 +253,16 @@ def make_train_chunk(
             return state, jax.tree.map(lambda x: x[None], metrics)
         return jax.lax.scan(step, state, batches)
 
-    return jax.jit(train_chunk, donate_argnums=0)
+    several = jax.vmap(train_chunk, in_axes=(0, 1, 0)) if seeds > 1 else train_chunk
+    return jax.jit(several, donate_argnums=0, out_shardings=out_shardings)
 
 
-def check_finite(state: TrainState, *, limit: int = MAX_BAD_STEPS) -> None:
+def check_finite(state: TrainState, *, seed: int = 0, limit: int = MAX_BAD_STEPS) -> None:
     """Stop a run that has diverged. Waits for the update, so call it once per chunk or less.
 
     Args:
         state: After an update.
+        seed: Of the run, for the message.
         limit: Skipped updates in a row that are too many.
 
     Raises:
@@ -238,8 +271,8 @@ def check_finite(state: TrainState, *, limit: int = MAX_BAD_STEPS) -> None:
     bad = int(state.bad_steps)
     if bad >= limit:
         raise DivergedError(
-            f"Loss or gradient was not finite in {bad} updates in a row, up to update "
-            f"{int(state.step)}; the parameters are those from before. Likely causes: a learning "
-            "rate that is too high (--lr), or non-finite numbers in the data. The last "
-            "checkpoint is whole."
+            f"Loss or gradient of seed {seed} was not finite in {bad} updates in a row, up to "
+            f"update {int(state.step)}; the parameters are those from before. Likely causes: a "
+            "learning rate that is too high (--lr), or non-finite numbers in the data; the last "
+            "batch is in diverged.npz. The last checkpoint is whole."
         )

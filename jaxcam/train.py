@@ -4,24 +4,25 @@ Whatever exists is used; whatever was interrupted goes on when the same command 
 """
 
 import dataclasses
-import functools
 import logging
 import shlex
 import sys
-import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxcam.config import CollectConfig, TrainConfig, resolve
 from jaxcam.errors import ConfigError, run_main
-from jaxcam.fields import cli
+from jaxcam.fields import cli, to_json
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from jaxcam.data import Dataset
     from jaxcam.models import Policy, Stats
-    from jaxcam.rundir import Interrupt, RunDir
+    from jaxcam.rundir import RunDir
     from jaxcam.state import TrainState
     from jaxcam.weights import Weights
 
@@ -39,27 +40,51 @@ def train(config: TrainConfig, console: "Console | None" = None) -> int:
     Returns:
         The process's exit code: 0, or 130 or 143 when a signal stopped it after saving.
     """
+    from jaxcam.checkpoint import checkpoint_steps
+    from jaxcam.devices import check_same, gathered, is_first
+    from jaxcam.loggers import check_loggers
+    from jaxcam.loop import Trainer
     from jaxcam.rundir import RunDir, interrupts
     from jaxcam.weights import record_weights
 
-    config = resolve(_like_its_dataset(config))
-    weights = _checked_weights(config)  # what cannot work is told before anything is made
-    with RunDir.open(config) as run:
+    configs = each_seed(_like_its_dataset(config))
+    first = configs[0]
+    check_loggers(first.log)
+    weights = _checked_weights(configs)  # what cannot work is told before anything is made
+    check_same("settings", to_json(replace(first, run_dir="", data_dir="", dataset="")))
+    with ExitStack() as stack:
+        runs = [stack.enter_context(RunDir.open(c)) if is_first() else None for c in configs]
         try:
-            if weights:
-                record_weights(run.path, weights)
-            dataset = _dataset(config, console)
-            policy = _policy(config, dataset.stats())
+            for run in runs:
+                if run and weights and not checkpoint_steps(run.path):
+                    record_weights(run.path, weights)
+            dataset = _dataset(first, console)
+            check_same("demonstrations", dataset.fingerprint)
+            policy = _policy(first, dataset.stats())
             with interrupts() as stop:  # only here is there something to save
-                state = _fit(config, run, dataset, policy, weights, stop, console)
-            if stop:
-                _say_how_to_go_on(console, f"Stopped at update {int(state.step)} and saved.")
-                return stop.exit_code
-            _finish(config, run, policy, state, console)
+                trainer = Trainer(first, dataset, policy, stop, console)
+                states = trainer.fit(configs, runs, weights)
+            if any(gathered(bool(stop))):
+                steps = ", ".join(str(step) for step in sorted({int(s.step) for s in states}))
+                _say_how_to_go_on(console, f"Stopped at update {steps} and saved.")
+                return stop.exit_code or 143  # another process was asked
+            for each, run, state in zip(configs, runs, states, strict=True):
+                _finish(each, run, policy, state, console)
         except KeyboardInterrupt:
             _say_how_to_go_on(console, "Stopped; what is done is kept.")
             return 130
     return 0
+
+
+def each_seed(config: TrainConfig) -> list[TrainConfig]:
+    """The resolved settings of each run that a command trains."""
+    if not config.seeds:
+        return [resolve(config)]
+    folders = [config.run_dir and f"{config.run_dir}-{seed}" for seed in config.seeds]
+    return [
+        resolve(replace(config, seeds=(), seed=seed, run_dir=folder))
+        for seed, folder in zip(config.seeds, folders, strict=True)
+    ]
 
 
 def _say_how_to_go_on(console: "Console | None", what: str) -> None:
@@ -82,7 +107,7 @@ def _like_its_dataset(config: TrainConfig) -> TrainConfig:
                 f"{name} is {count} in {config.dataset}, but {getattr(config, name)} was asked. "
                 f"Leave --{name} out: a dataset brings its own."
             )
-    return dataclasses.replace(config, **counts)
+    return replace(config, **counts)
 
 
 def collect_config(config: TrainConfig) -> CollectConfig:
@@ -128,8 +153,8 @@ def _policy(config: TrainConfig, stats: "Stats | None" = None) -> "Policy":
     return make_policy(settings, spec, stats or blank_stats(spec))
 
 
-def _checked_weights(config: TrainConfig) -> "Weights | None":
-    """The weights a new run starts from; None without, or when resuming.
+def _checked_weights(configs: Sequence[TrainConfig]) -> "Weights | None":
+    """The weights that new runs start from; None without, or when all resume.
 
     Raises:
         ConfigError: The policy cannot be built.
@@ -141,96 +166,25 @@ def _checked_weights(config: TrainConfig) -> "Weights | None":
     from jaxcam.checkpoint import checkpoint_steps
     from jaxcam.weights import load, read_weights
 
-    policy = _policy(config)
-    if not config.weights or checkpoint_steps(config.run_dir):
+    policy, file = _policy(configs[0]), configs[0].weights
+    if not file or all(checkpoint_steps(config.run_dir) for config in configs):
         return None
-    weights = read_weights(config.weights)
+    weights = read_weights(file)
     shapes = jax.eval_shape(policy.init, jax.random.key(0))
     load(weights, jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes))
     return weights
 
 
-def _fit(
-    config: TrainConfig,
-    run: "RunDir",
-    dataset: "Dataset",
-    policy: "Policy",
-    weights: "Weights | None",
-    stop: "Interrupt",
-    console: "Console | None",
-) -> "TrainState":
-    """Updates from the newest whole checkpoint to the last step."""
-    import jax
-    import numpy as np
-
-    from jaxcam.augment import random_crop
-    from jaxcam.checkpoint import Checkpoints, make_side
-    from jaxcam.data import stacked_batches
-    from jaxcam.progress import progress
-    from jaxcam.state import check_finite, init_state, make_optimizer, make_train_chunk
-    from jaxcam.weights import load_after
-
-    root, tx = jax.random.key(config.seed), make_optimizer(config, policy.trained)
-    crop = functools.partial(random_crop, smallest=config.crop_min)
-    update = make_train_chunk(
-        policy.loss, tx, augment=crop, ema=config.ema, ema_power=config.ema_power
-    )
-    validation_loss = jax.jit(lambda params, batch: policy.loss(params, batch, None)[0])
-    sizes = {
-        "views": config.views, "chunk": policy.spec.chunk, "obs_steps": policy.spec.obs_steps
-    }  # fmt: skip
-    held_out = dataset.validation(**sizes) if config.validation else None
-    side = make_side(
-        config,
-        settings=policy.config,
-        spec=policy.spec,
-        stats=dataset.stats(),
-        data=dataset.fingerprint,
-    )
-    with Checkpoints(run.checkpoints, keep=config.keep) as checkpoints:
-        init = load_after(policy.init, weights, config.stem == "new") if weights else policy.init
-        state = init_state(init, tx, root, ema=config.ema > 0)
-        if restored := checkpoints.restore_latest(state, expect=side):
-            state = restored.state
-            run.rewind(int(state.step))
-        first = int(state.step)
-        batches = stacked_batches(
-            dataset, config.seed, first, config.steps, config.steps_per_call, config.batch,
-            **sizes,
-        )  # fmt: skip
-        began, recent = time.perf_counter(), []
-        with progress(console, "training", config.steps, done=first) as advance:
-            for step, batch in batches:
-                state, metrics = update(state, batch, root)
-                recent.append(metrics)
-                done = step + config.steps_per_call
-                if done % config.log_every == 0 or done == config.steps:
-                    check_finite(state)
-                    means = jax.tree.map(lambda *x: float(np.mean(np.concatenate(x))), *recent)
-                    row = {"step": done, **means, "seconds": time.perf_counter() - began}
-                    if held_out and (done % config.eval_every == 0 or done == config.steps):
-                        row["val_loss"] = float(validation_loss(state.eval_params, held_out))
-                    run.log(row)
-                    recent = []
-                    advance(0, note=f"loss {row['loss']:.3f}")
-                if done % config.save_every == 0 or done == config.steps or stop:
-                    checkpoints.save(state, side)
-                advance(config.steps_per_call)
-                if stop:
-                    batches.close()
-                    break
-    return state
-
-
 def _finish(
     config: TrainConfig,
-    run: "RunDir",
+    run: "RunDir | None",
     policy: "Policy",
     state: "TrainState",
     console: "Console | None",
 ) -> None:
     """Evaluates the last checkpoint, draws, and writes the report."""
     from jaxcam.camera_plots import ray_picture
+    from jaxcam.devices import own
     from jaxcam.evaluate import Evaluator, evaluate
     from jaxcam.html import write_report
     from jaxcam.plot_style import save
@@ -242,13 +196,15 @@ def _finish(
     estimate = evaluate(
         evaluator,
         policy,
-        state.eval_params,
-        run.path,
+        own(state.eval_params),
+        Path(config.run_dir),
         step=step,
         pairs=config.pairs,
         videos=VIDEOS,
         console=console,
     )
+    if run is None:
+        return
     metrics = read_jsonl(run.metrics)
     if not any(r["step"] == step and "success_rate" in r for r in metrics):
         run.log(
@@ -275,11 +231,15 @@ def main() -> None:
     from rich.console import Console
     from rich.logging import RichHandler
 
+    from jaxcam.devices import is_first, joined
+
     console = Console()
     logging.basicConfig(
         level=logging.WARNING, format="%(message)s", handlers=[RichHandler(console=console)]
     )
-    sys.exit(train(config, console))
+    with joined(config.distributed):
+        code = train(config, console if is_first() else None)
+    sys.exit(code)
 
 
 if __name__ == "__main__":

@@ -108,10 +108,12 @@ class MjxEngine(Engine):
         self._room = {"contacts": room, "rows": rows or 4 * room}
         self._host_model = model
         self._body = int(model.site_bodyid[scene.grip_site])
-        self._model = mjx.put_model(model, impl=impl)
+        self._here = jax.local_devices()[0]  # MJX would take the first of all processes' devices
+        put = functools.partial(mjx.put_model, device=self._here, impl=impl)
+        self._model = put(model)
         if impl == "warp":  # overflows are read from the data; a print from a kernel is no error
             self._model = self._model.tree_replace({"opt._impl.warn_overflow": 0})
-        self._bare = self._model if impl == "jax" else mjx.put_model(bare(model), impl="warp")
+        self._bare = self._model if impl == "jax" else put(bare(model))
         self._mass_at = full_from_sparse(model)[np.ix_(scene.arm, scene.arm)]
         self._overflow = 0
         self._jit()
@@ -364,12 +366,11 @@ class MjxEngine(Engine):
 
     def _make_scratch(self, count: int) -> "_Scratch":
         with jax.ensure_compile_time_eval():
+            make = functools.partial(mjx.make_data, self._host_model, self._here, impl=self.impl)
             if self.impl == "jax":
-                data = mjx.make_data(self._host_model, impl="jax")
-                return _Scratch(data, data)
-            room = {"naconmax": self._room["contacts"] * count, "njmax": self._room["rows"]}
-            full = mjx.make_data(self._host_model, impl="warp", **room)
-            return _Scratch(full, mjx.make_data(self._host_model, impl="warp", naconmax=1, njmax=1))
+                return _Scratch(*[make()] * 2)
+            full = make(naconmax=self._room["contacts"] * count, njmax=self._room["rows"])
+            return _Scratch(full, make(naconmax=1, njmax=1))
 
     def _report(self, overflow: jax.Array) -> None:
         """Tells the host of lost contacts, for `_roomy`."""

@@ -232,7 +232,9 @@ class _Kernel:
             enabled_geom_groups=[1],
             background_color=_SKY,
         )
-        mx, dx = mjx.put_model(model, impl="warp"), mjx.make_data(model, impl="warp")
+        here = jax.local_devices()[0]  # of several processes' devices MJX takes the first of all
+        mx = mjx.put_model(model, here, impl="warp")
+        dx = mjx.make_data(model, here, impl="warp")
         handle = self._context.pytree()
 
         def draw(inputs: "_Inputs") -> tuple[jax.Array, jax.Array]:

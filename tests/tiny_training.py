@@ -1,0 +1,172 @@
+"""A training that takes no time: random demonstrations and a linear policy.
+
+Tests that need other devices or several processes run it as a script.
+"""
+
+import dataclasses
+import json
+import signal
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxcam.config import TrainConfig, resolve
+from jaxcam.data import Dataset
+from jaxcam.frames import Frames
+from jaxcam.loop import Trainer
+from jaxcam.models import Policy, PolicySpec
+from jaxcam.rundir import Interrupt, RunDir
+
+TRAIN, VALID, STEPS, CAMERAS, PIXELS, CHUNK = 4, 2, 12, 3, 16, 2
+SPEC = PolicySpec(action_dim=2, proprio_dim=3, views=1, height=PIXELS, width=PIXELS, chunk=CHUNK)
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """Settings of the linear policy."""
+
+    noise: float = 0.1
+
+
+def dataset():
+    """Four training and two validation demonstrations of noise."""
+    rng, count = np.random.default_rng(0), TRAIN + VALID
+    poses = np.tile(np.eye(4, dtype=np.float32), (count * CAMERAS, 1, 1))
+    pictures = rng.integers(0, 256, (count * STEPS * CAMERAS, PIXELS, PIXELS, 3), np.uint8)
+
+    def values(size):
+        return rng.normal(size=(count, STEPS, size)).astype(np.float32)
+
+    return Dataset(
+        frames=Frames(pictures, np.arange(count) * STEPS * CAMERAS, np.full(count, CAMERAS)),
+        K=np.diag([20.0, 20, 1]).astype(np.float32),
+        base_from_camera=poses,
+        actions=values(SPEC.action_dim),
+        keyframes=values(3),
+        proprio=values(SPEC.proprio_dim),
+        lengths=np.full(count, STEPS),
+        windows=list(np.arange(count * CAMERAS).reshape(count, CAMERAS)),
+        train=TRAIN,
+        fingerprint="noise",
+    )
+
+
+def policy(noise=0.1):
+    """A linear policy whose loss has random numbers of every sample in it."""
+    shape = (SPEC.chunk, SPEC.action_dim)
+
+    def init(key):
+        return {"w": jax.random.normal(key, (6, SPEC.chunk * SPEC.action_dim)) / 3}
+
+    def act(params, obs, key):
+        image = obs["image"].astype(jnp.float32).mean((1, 2, 3)) / 128 - 1
+        seen = jnp.concatenate([image, obs["proprio"]], -1)
+        return (seen @ params["w"]).reshape(-1, *shape)
+
+    def loss(params, batch, key):
+        error = act(params, batch, None) - batch["action"]
+        if key is not None:
+            error += noise * jax.random.normal(key, error.shape)
+        value = jnp.mean(error**2 * ~batch["is_pad"][..., None])
+        return value, {"loss": value}
+
+    return Policy(init, loss, act, Settings(noise), SPEC, SPEC.chunk)
+
+
+def settings(folder, **changes):
+    """Settings of a run of six updates of twelve samples."""
+    small = {"steps": 6, "batch": 12, "lr": 0.01, "schedule": "constant", "warmup": 0,
+             "resolution": PIXELS, "log_every": 1, "eval_every": 3, "save_every": 1, "ema": 0.5,
+             "demos": TRAIN, "validation": VALID, "run_dir": str(folder)}  # fmt: skip
+    return resolve(TrainConfig(**{**small, **changes}), accelerator=False)
+
+
+def fit(*configs, stop=None, noise=0.1, write=True):
+    """Trains one run or several side by side; their states."""
+    runs = [RunDir.open(config) if write else None for config in configs]
+    try:
+        return Trainer(configs[0], dataset(), policy(noise), stop or Interrupt()).fit(configs, runs)
+    finally:
+        for run in runs:
+            if run:
+                run.close()
+
+
+class PairsEvaluator:
+    """Stands for the simulator: pair 1 ends in an error at first, pair 2 always."""
+
+    width, engine_name, ensemble = 2, "native", 0.0
+
+    def __init__(self):
+        self.task = type("Task", (), {"horizon": 3})
+        self.ran = []
+
+    def pairs(self, split, numbers):
+        from jaxcam.pairs import Pairs
+        from jaxcam.sim.task import Start
+
+        column = np.array(numbers, float)[:, None]
+        return Pairs([*numbers], column, Start(*[column] * len(Start._fields)))
+
+    def run(self, policy, params, split, pairs, *, step, run, tick):
+        assert len(pairs) <= self.width
+        ok = [p != 2 and not (p == 1 and 1 not in self.ran) for p in pairs]
+        self.ran += pairs
+        row = {"step": step, "split": split, "run": run, "width": self.width}
+        return [
+            {**row, "pair": p, "status": "ok" if good else "error", "success": good and p % 2 == 0}
+            for p, good in zip(pairs, ok, strict=True)
+        ], None
+
+
+def scenes(folder):
+    """What each of several processes does; process i writes to `folder` only if i is 0."""
+    from jaxcam.devices import check_same, data_mesh, is_first, shard
+    from jaxcam.errors import ConfigError
+    from jaxcam.evaluate import evaluate
+
+    found = {"shard": shard(), "devices": data_mesh(12).size}
+    mine = folder if is_first() else folder / "elsewhere"
+    fit(settings(mine / "run", steps=3), write=is_first())
+    state = fit(settings(mine / "run"), write=is_first())[0]  # restored from what was saved
+    found["step"], found["w"] = int(state.step), np.asarray(state.params["w"]).tolist()
+    stop = Interrupt()
+    if not is_first():  # only one process is told
+        stop.signal = signal.SIGTERM
+    state = fit(settings(mine / "stopped"), stop=stop, write=is_first())[0]
+    found["stopped"] = int(state.step)
+    evaluator = PairsEvaluator()
+    estimate = evaluate(evaluator, None, None, mine, step=7, pairs=7)
+    found["ran"], found["estimate"] = evaluator.ran, [estimate.value, estimate.n]
+    try:
+        check_same("demonstrations", "abc" if is_first() else "xyz")
+    except ConfigError as error:
+        found["different"] = str(error)
+    return found
+
+
+def main():
+    from jaxcam.devices import joined
+    from jaxcam.errors import DatasetError
+
+    what, folder = sys.argv[1], Path(sys.argv[2])
+    if what == "one":
+        assert len(jax.devices()) == 4
+        fit(settings(folder / "run", steps=3))
+        fit(settings(folder / "run"))
+        return
+    with joined(True):
+        index = jax.process_index()
+        if what == "fail" and index == 0:
+            raise DatasetError("nothing there")
+        if what == "fail":
+            fit(settings(folder / "run"), write=False)
+        found = scenes(folder)
+    (folder / f"found-{index}.json").write_text(json.dumps(found))
+
+
+if __name__ == "__main__":
+    main()
