@@ -5,6 +5,7 @@ Diffusion Policy repository (hybrid image variant) for `original`.
 """
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Literal
 
 import jax
@@ -69,6 +70,9 @@ class DiffusionConfig(VisionConfig):
     """Numbers that a view's tokens become."""
     features_relu: bool = True
     """Whether those are rectified."""
+    hidden: tuple[int, ...] = ()
+    """Widths of a perceptron that all that conditions the chunk as a whole goes through first; the
+    public implementations have none."""
     local_proprio: bool = True
     """Whether proprioception conditions every step of the chunk, instead of the chunk as a
     whole."""
@@ -155,6 +159,7 @@ DIFFUSION_PRESETS: dict[str, DiffusionConfig] = {
         chunk=16,
         execute=8,
         features=256,
+        hidden=(256, 256),
         local_proprio=False,
         drop_proprio=False,
         keyframe_weight=0.9,
@@ -184,7 +189,9 @@ class Diffusion(nnx.Module):
         self.pose = linear(16, POSE_FEATURES, rngs=rngs, dtype=dtype) if token else None
         local = spec.proprio_dim * config.local_proprio
         d_global = spec.views * (width + POSE_FEATURES * token) + spec.proprio_dim - local
-        d_global *= config.obs_steps
+        widths = (d_global * config.obs_steps, *config.hidden)
+        self.hidden = nnx.List(linear(a, b, rngs=rngs, dtype=dtype) for a, b in pairwise(widths))
+        d_global = widths[-1]
         self.keyframe = (
             linear(d_global, 3 * spec.chunk, rngs=rngs, dtype=jnp.float32)
             if config.keyframe_weight
@@ -201,7 +208,8 @@ class Diffusion(nnx.Module):
             proprio: Normalised proprioception [B, S, P].
 
         Returns:
-            Global condition [B, G], all of a step before the next step's, and local one [B, L].
+            Global condition [B, G], without a perceptron all of a step before the next step's, and
+            local one [B, L].
         """
         batch, steps = proprio.shape[:2]
         names = ("image", "K", "base_from_camera")
@@ -214,7 +222,10 @@ class Diffusion(nnx.Module):
             parts.append(self.pose(poses.reshape(*poses.shape[:2], 16)).reshape(len(poses), -1))
         together = jnp.concatenate([p.astype(jnp.float32) for p in parts], -1)
         local = proprio[:, -1] if self.config.local_proprio else proprio[:, -1, :0]
-        return together.reshape(batch, -1), local
+        together = together.reshape(batch, -1)
+        for layer in self.hidden:
+            together = jax.nn.relu(layer(together))
+        return together, local
 
     def _views(self, obs: Obs) -> jax.Array:
         """Features of all views side by side, [B, V * features]."""
