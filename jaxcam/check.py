@@ -11,6 +11,7 @@ if __name__ == "__main__":
     cli(CheckConfig)  # --help and bad flags are answered before the slow imports
 
 import json
+import logging
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,6 +21,7 @@ from typing import Any
 
 import h5py
 from rich.console import Console
+from rich.logging import RichHandler
 
 from jaxcam.check_dataset import check_content, check_physics, read, statistics
 from jaxcam.check_env import check_env
@@ -141,6 +143,9 @@ def _page(config: CheckConfig) -> Path:
 def main() -> None:
     """The command line."""
     config, console = cli(CheckConfig), Console()
+    logging.basicConfig(
+        level=logging.WARNING, format="%(message)s", handlers=[RichHandler(console=console)]
+    )
     if config.env:
         with console.status("looking"):
             findings = list(check_env())

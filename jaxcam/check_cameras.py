@@ -165,7 +165,7 @@ def check_cameras(demos: Demos) -> Finding:
         return Finding(what, "good", inside)
     told = ", ".join(f"{why} {mask.sum()}" for why, mask in found.items() if mask.any())
     got = f"{flagged.sum()} of {len(flagged)} cameras are odd: {told}"
-    where = f"cameras {some(seen.rows[flagged].tolist())}"
+    where = some(seen.rows[flagged].tolist())
     if flagged.mean() <= TOLERATED:
         return Finding(what, "note", got, expected, where, "Look at the pictures of those.")
     base = make_task(demos.header.task).scene(demos.header.scene).world_from_base
@@ -188,6 +188,6 @@ def require_possible(demos: Demos) -> None:
     found = check_cameras(demos)
     if found.mark == "bad":
         raise CameraError(
-            f"{demos.path}: {found.where}: {found.got}. Expected {found.expected}. {found.fix} "
-            f"{look}"
+            f"{demos.path}: cameras {found.where}: {found.got}. Expected {found.expected}. "
+            f"{found.fix} {look}"
         )

@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -37,8 +38,12 @@ ASTRAY = 0.2
 """Distance (m) between a command and where the grip is next that no controller leaves."""
 APART = 1e-3
 """Distance (m) up to which the recorded grip is where the recorded joints put it."""
+LISTED = 10
+"""Demonstrations that are told one by one of those that cannot be used."""
 REPLAY_FIX = """Commands, gripper sign, object poses or the task are not what was recorded; \
 python -m jaxcam.replay tells of every demonstration."""
+GRIPPER_TURNED = np.array([1, 1, 1, 1, 1, 1, -1])
+"""What an action is multiplied by to open where it closed."""
 COMMAND = ("x (m)", "y (m)", "z (m)", "turn x (rad)", "turn y (rad)", "turn z (rad)", "gripper")
 """The numbers of a recorded action."""
 Row = tuple[str, str, str, str]
@@ -55,7 +60,10 @@ def read(path: Path) -> tuple[Demos | None, list[Finding]]:
             errors = faults_of(path) or errors
         except DatasetError as whole:
             errors = [whole]
-        return None, [Finding("file", "bad", str(e)) for e in errors]
+        listed = [Finding("file", "bad", str(e)) for e in errors[:LISTED]]
+        if (rest := len(errors) - LISTED) > 0:
+            listed.append(Finding("file", "bad", f"and {rest} more such"))
+        return None, listed
     header = demos.header
     got = (
         f"{len(demos.train)} training and {len(demos.valid)} validation demonstrations of "
@@ -101,6 +109,11 @@ def check_physics(
     yield _grip(some_demos, rows, task, scene)
     with progress(console, "replaying", len(rows) * len(ACTION_SPACES)) as advance:
         found = replay_all(some_demos, task, scene, tick=advance)
+    fix = REPLAY_FIX
+    if not found["eef_abs"].any():
+        turned = [replace(d, actions=d.actions * GRIPPER_TURNED) for d in some_demos]
+        if replay_all(turned, task, scene, ["eef_abs"])["eef_abs"].all():
+            fix = "Likely cause: the gripper's sign is turned round. Positive closes."
     for space, success in found.items():
         failed = [f"demo_{i}" for i in rows[~success]]
         good = success.mean() >= GATE
@@ -110,7 +123,7 @@ def check_physics(
             f"{success.sum()} of {len(rows)} succeed",
             "" if good else f"at least {GATE:.0%}",
             some(failed),
-            "" if good else REPLAY_FIX,
+            "" if good else fix,
         )
 
 

@@ -54,7 +54,7 @@ def check_field_of_view(demos: Demos) -> Finding:
         "bad",
         f"{got:g}°",
         f"{expected:g}°, of the cameras that policies are evaluated with",
-        "cameras, attribute fovy_deg",
+        "fovy_deg",
         f"Intrinsics follow from it: store the cameras' own.{hint}",
     )
 
@@ -79,7 +79,7 @@ def check_ranges(demos: Demos) -> Finding:
     got = f"{alike.sum()} of {len(poses)} are such as the evaluation draws"
     if alike.all():
         return Finding(what, "good", got)
-    where = f"cameras {some(np.flatnonzero(~alike).tolist())}"
+    where = some(np.flatnonzero(~alike).tolist())
     return Finding(
         what,
         "note",

@@ -275,7 +275,10 @@ def _read_demo(path: Path, file: h5py.File, index: int, header: Header) -> Demo:
     except KeyError as error:
         raise DatasetError(f"{path}: {name}: {error}.") from error
     except OSError as error:
-        raise DatasetError(f"{path}: {name}: checksum or read error ({error}).") from error
+        raise DatasetError(
+            f"{path}: {name}: checksum or read error ({error}). Copy the file anew, or leave the "
+            "demonstration out."
+        ) from error
     cameras = len(header.world_from_camera)
     if demo.cameras.size == 0 or demo.cameras.min() < 0 or demo.cameras.max() >= cameras:
         raise DatasetError(

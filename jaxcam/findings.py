@@ -51,9 +51,12 @@ def show(findings: Sequence[Finding], console: Console) -> None:
             found += f"\nexpected: {finding.expected}"
         table.add_row(Text(named(finding)), mark, Text(found))
     console.print(table)
+    fixes: dict[str, list[str]] = {}
     for finding in findings:
-        if finding.fix:
-            console.print(Text(f"{finding.what}: {finding.fix}"), soft_wrap=True)
+        fixes.setdefault(finding.fix, []).append(finding.what)
+    for fix, names in fixes.items():
+        if fix:
+            console.print(Text(f"{', '.join(dict.fromkeys(names))}: {fix}"), soft_wrap=True)
 
 
 def named(finding: Finding) -> str:

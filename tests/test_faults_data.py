@@ -226,6 +226,17 @@ def test_commands_that_no_longer_do_what_they_did(copy):
     assert found["replay, eef_abs"].mark == "bad"
     assert found["replay, eef_abs"].where == "demo_0, demo_5"
     assert "0 of 2 succeed" in found["replay, joint_delta"].got
+    assert "gripper's sign" in found["replay, eef_abs"].fix
+
+
+def test_objects_that_are_not_where_they_were(copy, scene):
+    shift = np.zeros(1 + scene.nq + scene.nv)
+    shift[1 + scene.qpos_of("cube")] = 0.06
+    spoil(copy, lambda f: every(f, "states", lambda s: s + shift))
+    found = physics_of(copy)
+    assert found["replay, joint_abs"].mark == "bad"
+    assert "object poses" in found["replay, joint_abs"].fix
+    assert found["grip"].mark == "good"
 
 
 def test_a_grip_that_is_not_where_the_joints_put_it(copy):
