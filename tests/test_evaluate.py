@@ -1,10 +1,13 @@
 """What is run of an evaluation, and what is done about rollouts that end in an error."""
 
+import os
+
+import jax
 import numpy as np
 import pytest
 
 from jaxcam.config import TrainConfig
-from jaxcam.errors import CheckpointError, DatasetError
+from jaxcam.errors import CheckpointError, ConfigError, DatasetError
 from jaxcam.evaluate import _steps, evaluate
 from jaxcam.pairs import Pairs, make_pairs, store_pairs
 from jaxcam.protocol import ATTEMPTS, Protocol, counted, lacks, protocol_of
@@ -63,6 +66,32 @@ def test_only_what_is_missing_is_run(lift, tmp_path):
     evaluate(evaluator, None, None, tmp_path, step=7, pairs=4)  # pyright: ignore
     assert evaluator.ran[:1] == [0]
     assert sorted(set(evaluator.ran[1:])) == [1, 2, 3]
+
+
+def test_memory_that_does_not_suffice_is_told_with_a_smaller_width(lift, tmp_path, monkeypatch):
+    def too_large(*args, **given):
+        raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes.")
+
+    monkeypatch.setattr(FlakyEvaluator, "run", too_large)
+    with pytest.raises(ConfigError, match=r"A batch of 2 rollouts: does not fit .*Use --width 1"):
+        evaluate(FlakyEvaluator(lift), None, None, tmp_path, step=7, pairs=4)  # pyright: ignore
+    assert read_jsonl(tmp_path / "eval" / "rows.jsonl") == []
+
+
+def test_a_disk_without_room_for_videos_keeps_the_rows(lift, tmp_path, monkeypatch, caplog):
+    monkeypatch.setattr(FlakyEvaluator, "clips", lambda *args: [np.zeros((2, 8, 8, 3), np.uint8)],
+                        raising=False)  # fmt: skip
+    (tmp_path / "videos").mkdir()
+    if not os.path.exists("/dev/full"):
+        pytest.skip("no /dev/full")
+    for name in ("test-000007", "failures-test-000007"):  # every write there finds the disk full
+        (tmp_path / "videos" / f"{name}.mp4.part").symlink_to("/dev/full")
+    estimate = evaluate(
+        FlakyEvaluator(lift), None, None, tmp_path, step=7, pairs=2, videos=1,  # pyright: ignore
+    )  # fmt: skip
+    assert estimate.n == 2
+    assert "could not be written: [Errno 28] No space left on device" in caplog.text
+    assert not list((tmp_path / "videos").glob("*.mp4"))
 
 
 def test_pairs_follow_from_their_number_and_are_recognised(lift, scene, scenes):
