@@ -23,8 +23,9 @@ import h5py
 from rich.console import Console
 from rich.logging import RichHandler
 
-from jaxcam.check_dataset import check_content, check_physics, read, statistics
+from jaxcam.check_dataset import check_content, check_physics, read
 from jaxcam.check_env import check_env
+from jaxcam.check_numbers import statistics
 from jaxcam.check_page import Report, draw_figures, write_page
 from jaxcam.check_pictures import check_caches, draw_overlays
 from jaxcam.check_run import check_run
