@@ -86,16 +86,10 @@ class Evaluator:
         filled = [*pairs, *[pairs[-1]] * (self.width - len(pairs))]
         chosen = self.pairs(split, filled)
         cameras, digests = chosen.cameras, chosen.digests()
-        mesh = None
-        if not self.engine_name.startswith("mjx"):  # those are one program, on one device
-            mesh = data_mesh(self.width, everywhere=False)
-            params = copied(mesh, params)
-        act = _Acting(policy.act, mesh)
-        acting = Partial(act, params, jax.random.key(config.seed))
         K = intrinsics(task.fovy_deg, config.resolution)
         ahead = spec.chunk - spec.obs_steps + 1  # steps that a chunk reaches into the future
         done = rollout(
-            acting,
+            self._acting(policy, params),
             task,
             self.scene,
             self.engine,
@@ -140,6 +134,14 @@ class Evaluator:
             }
             for i, pair in enumerate(pairs)
         ], done
+
+    def _acting(self, policy: Policy, params: Any) -> Partial:
+        """The policy as rollouts call it."""
+        mesh = None
+        if not self.engine_name.startswith("mjx"):  # those are one program, on one device
+            mesh = data_mesh(self.width, everywhere=False)
+            params = copied(mesh, params)
+        return Partial(_Acting(policy.act, mesh), params, jax.random.key(self.config.seed))
 
     def clips(self, done: Rollouts, split: str, pairs: Sequence[int]) -> list[np.ndarray]:
         """Videos of rollouts as their first camera saw them, uint8 [T, H, W, 3] each."""

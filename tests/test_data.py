@@ -136,6 +136,17 @@ def test_batches_do_not_depend_on_where_reading_starts(dataset):
         equal({k: v[0] for k, v in batch.items()}, part)
 
 
+@pytest.mark.parametrize("shards", [2, 3])
+def test_shards_are_stretches_of_the_same_batches(dataset, shards):
+    sizes = {"views": 2, "chunk": CHUNK}
+    whole = dict(stacked_batches(dataset, 5, 0, 4, 2, 6, **sizes))
+    each = [
+        dict(stacked_batches(dataset, 5, 0, 4, 2, 6, (i, shards), **sizes)) for i in range(shards)
+    ]
+    for step, batch in whole.items():
+        equal({k: np.concatenate([part[step][k] for part in each], 1) for k in batch}, batch)
+
+
 def test_reading_can_stop_early(dataset):
     batches = stacked_batches(dataset, 0, 0, 10**9, 1, 2, views=1, chunk=CHUNK)
     assert next(batches)[0] == 0

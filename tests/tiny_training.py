@@ -148,6 +148,24 @@ def scenes(folder):
     return found
 
 
+def act_on_all_devices():
+    """A batch of rollouts asks the policy once, on four devices, and gets what one gives."""
+    from jaxcam.devices import copied, data_mesh
+    from jaxcam.evaluator import _Acting
+
+    rng, tiny = np.random.default_rng(0), policy()
+    obs = {"image": rng.integers(0, 256, (8, 1, PIXELS, PIXELS, 3), np.uint8),
+           "proprio": rng.normal(size=(8, SPEC.proprio_dim)).astype(np.float32)}  # fmt: skip
+    params, root = tiny.init(jax.random.key(1)), jax.random.key(0)
+    mesh = data_mesh(8, everywhere=False)
+    chunks = _Acting(tiny.act, mesh)(copied(mesh, params), root, obs, jnp.int32(0))
+    assert len(chunks.sharding.device_set) == 4
+    assert chunks.addressable_shards[0].data.shape[0] == 2
+    np.testing.assert_allclose(
+        chunks, _Acting(tiny.act)(params, root, obs, jnp.int32(0)), rtol=1e-5, atol=1e-5
+    )
+
+
 def main():
     from jaxcam.devices import joined
     from jaxcam.errors import DatasetError
@@ -157,6 +175,7 @@ def main():
         assert len(jax.devices()) == 4
         fit(settings(folder / "run", steps=3))
         fit(settings(folder / "run"))
+        act_on_all_devices()
         return
     with joined(True):
         index = jax.process_index()
