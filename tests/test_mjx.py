@@ -1,15 +1,18 @@
 """MJX against the native engine, and what a batch of worlds on a device must keep apart."""
 
+import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
 from jax.tree_util import Partial
+from mujoco.mjx import forward as warp_forward
 
 from jaxcam.actions import decode, demo_actions, measured
 from jaxcam.errors import ConfigError, SimError
 from jaxcam.frames import intrinsics
 from jaxcam.rays import sample_poses
-from jaxcam.rotations import array_namespace, rotvec_from_matrix
+from jaxcam.rotations import array_namespace, matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.sim import engine_name, make_engine, mjx
 from jaxcam.sim.engine import Command, OpenLoop, Start
 from jaxcam.sim.mjx import MjxEngine
@@ -104,6 +107,39 @@ def test_sizes_become_the_model_that_mujoco_derives(lift, scene, start, warp):
         got = [found["geom_size"][i, geom], found["geom_aabb"][i, geom].ravel()[3:]]
         np.testing.assert_allclose(got, [half, half], rtol=1e-6)
         np.testing.assert_allclose(found["geom_rbound"][i, geom], model.geom_rbound[0], rtol=1e-6)
+
+
+def test_an_edge_meets_a_face_as_in_the_c_library(scene, warp):
+    """Cubes gripped by two of their edges, turned, tilted a little: they must not pivot there."""
+    model, engine, count = scene.physics, warp["osc_pose"], 8
+    data, rng, cube = mujoco.MjData(model), np.random.default_rng(0), scene.qpos_of("cube")
+    pads = [model.geom(f"gripper0_right_finger{i}_pad_collision").id for i in (1, 2)]
+    qpos, want = np.tile(model.qpos0, (count, 1)), []
+    for world, row in enumerate(qpos):
+        row[scene.arm], row[scene.fingers] = scene.home, (0.0294, -0.0294)
+        data.qpos[:] = row
+        mujoco.mj_kinematics(model, data)
+        turn = np.pi / 4 + rng.uniform(-0.1, 0.1)
+        tilt = matrix_from_rotvec(np.array([0, 0, turn])) @ matrix_from_rotvec(
+            rng.normal(0, 3e-3, 3)
+        )
+        row[cube : cube + 3] = data.geom_xpos[pads].mean(0)
+        mujoco.mju_mat2Quat(
+            row[cube + 3 : cube + 7], (data.geom_xmat[pads[0]].reshape(3, 3) @ tilt).ravel()
+        )
+        data.qpos[:] = row
+        mujoco.mj_forward(model, data)
+        want += [(world, *sorted(c.geom), c.dist) for c in data.contact if c.dist < -1e-5]
+    data = engine._scratch(count).full
+    forward = jax.vmap(lambda qpos: warp_forward(engine._model, data.replace(qpos=qpos)))
+    found = jax.jit(forward)(jnp.asarray(qpos, jnp.float32))._impl
+    rows = slice(int(np.max(found.nacon)))
+    worlds, dist = (np.ravel(x)[rows] for x in (found.contact__worldid, found.contact__dist))
+    geoms = np.sort(np.reshape(found.contact__geom, (-1, 2))[rows], -1)
+    rows = dist < -1e-5
+    got = sorted(zip(worlds[rows], *geoms[rows].T, dist[rows], strict=True))
+    assert len(want) >= 4 * count  # two on each pad
+    np.testing.assert_allclose(got, sorted(want), atol=2e-6)
 
 
 def test_inactive_worlds_stay_and_a_diverging_one_is_lost_alone(scene, start, warp):

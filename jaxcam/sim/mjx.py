@@ -33,7 +33,7 @@ from jaxcam.sim.engine import (
     begin,
     control_step,
 )
-from jaxcam.sim.mjx_model import Bodies, bare, check_pairs, filtered, pair_count, resized
+from jaxcam.sim.mjx_model import Bodies, bare, check_pairs, filtered, pair_count, resized, suit_warp
 from jaxcam.sim.scene import Scene
 
 Impl = Literal["jax", "warp"]
@@ -96,9 +96,8 @@ class MjxEngine(Engine):
         model = filtered(scene.physics)
         if impl == "jax":
             check_pairs(model)
-        elif jax.default_backend() == "cpu":
-            # Contacts concern few of the joints. One thread gains by leaving the zeros out.
-            model.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
+        else:
+            suit_warp(model)
         # Time goes with the room. The most that demonstrations need is 40 (Square).
         room = contacts or min(44, 2 * pair_count(model) + 2)
         self._room = {"contacts": room, "rows": rows or 4 * room}

@@ -70,6 +70,18 @@ def filtered(model: mujoco.MjModel) -> mujoco.MjModel:
     return model
 
 
+def suit_warp(model: mujoco.MjModel) -> None:
+    """Sets what MuJoCo Warp should do as the C library does, and what is fast on a CPU.
+
+    Without native convex collisions it computes boxes' contacts by the C library's own method. By
+    the other, in float32, an edge on a face often has one contact, where it should have two.
+    """
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_NATIVECCD
+    if jax.default_backend() == "cpu":
+        # Contacts concern few of the joints: one thread gains by leaving the zeros out.
+        model.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
+
+
 def check_pairs(model: mujoco.MjModel) -> None:
     """Refuses pairs of geoms that MJX-JAX cannot collide, all at once and by name."""
     bad = [
