@@ -151,7 +151,7 @@ def main() -> None:
         with console.status("looking"):
             findings = list(check_env())
         show(findings, console)
-        console.print("The first three are all that the MuJoCo tasks need.")
+        console.print("The first four are all that the MuJoCo tasks need.")
     else:
         report = examine(Path(config.target), config.episodes, console)
         findings = report.findings

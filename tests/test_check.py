@@ -318,6 +318,12 @@ def test_what_is_wrong_with_a_run(run, case):
     assert re.search(words, all_of_it[0].got), all_of_it[0]
 
 
+def test_checkpoints_of_other_conventions(run, monkeypatch):
+    monkeypatch.setattr("jaxcam.check_run.CONVENTION", 99)
+    (found,) = (f for f in check_run(run) if f.what == "checkpoints" and f.mark == "bad")
+    assert (found.expected, found.where) == ("99", "1, 2")
+
+
 def test_an_evaluation_that_was_stopped_says_how_to_go_on(run):
     rows = [row(1, p) for p in range(3)] + [row(2, 0)]
     write(run / "eval" / "rows.jsonl", rows)

@@ -84,6 +84,15 @@ def test_the_papers_cameras_pass(many, demos):
         require_possible(data)
 
 
+def test_each_reason_is_counted(many):
+    behind = with_poses(many, opengl_from_opencv(many.header.world_from_camera))
+    assert f"behind the camera {CAMERAS}, upside down {CAMERAS}" in check_cameras(behind).got
+    turned = many.header.world_from_camera @ np.diag([-1.0, 1, -1, 1])  # looks away, top up
+    assert f"odd: behind the camera {CAMERAS}" in check_cameras(with_poses(many, turned)).got
+    far = with_poses(many, scaled(many.header.world_from_camera, 1000))
+    assert f"too far away or too near {CAMERAS}" in check_cameras(far).got
+
+
 def test_nothing_is_rendered_for_impossible_cameras(demos, tmp_path):
     poses = opengl_from_opencv(demos.header.world_from_camera)
     spoilt = replace(with_poses(demos, poses), path=tmp_path / "spoilt.hdf5")

@@ -220,6 +220,15 @@ def test_rounded_rotations_are_made_rotations_again_and_told_once(copy, caplog):
     assert found_in(copy)["camera poses"].mark == "bad"
 
 
+def test_a_rounded_mirror_stays_a_mirror(copy):
+    def mirror(file):
+        poses = file["cameras/world_from_camera"]
+        poses[...] = np.round(poses[...], 4) @ np.diag([1.0, -1, 1, 1])
+
+    spoil(copy, mirror)
+    assert "8 of 8 cameras" in found_in(copy)["camera poses"].got
+
+
 def test_commands_that_no_longer_do_what_they_did(copy):
     spoil(copy, lambda f: every(f, "actions", lambda a: a * ([1] * 6 + [-1])))
     found = physics_of(copy)
