@@ -267,9 +267,9 @@ def test_weights_that_fit_are_recorded_and_only_read_for_a_new_run(tmp_path):
     config = resolve(config, accelerator=False)
     assert "-resnet-" in config.run_dir
     config = replace(config, run_dir=str(tmp_path))
-    weights = _checked_weights(config)
+    weights = _checked_weights([config])
     record_weights(tmp_path, weights)
     record = json.loads((tmp_path / "weights.json").read_text())
     assert record == {"file": str(file), "kind": weights.kind.title, "sha256": weights.sha256}
     (tmp_path / "checkpoints/1").mkdir(parents=True)
-    assert _checked_weights(config) is None
+    assert _checked_weights([config]) is None
