@@ -12,6 +12,7 @@ import pytest
 
 from jaxcam import replay as replay_module
 from jaxcam.actions import ACTION_SPACES
+from jaxcam.check import examine
 from jaxcam.collect import FIRST_SEED
 from jaxcam.config import ManiskillConfig
 from jaxcam.demos import read_demos
@@ -135,6 +136,16 @@ def test_replay_takes_the_file_and_all_of_it_still_works(
     data = read_demos(Path(f"data/{name}-randomized-{name}.hdf5"), task=name)
     assert len(data.train) == 2
     assert ("traj_2: failed when it was recorded" in told) == (name == "push")
+
+
+def test_the_doctor_examines_a_file_as_it_would_be_imported(recorded):
+    before = sorted(recorded.iterdir())
+    report = examine(recorded / "push.h5", 1)
+    assert "as jaxcam imports it" in report.subtitle
+    assert "bad" not in {f.mark for f in report.findings}, report.findings
+    assert {"grip", "replay, joint_delta"} <= {f.what for f in report.findings}
+    assert report.overlays is not None
+    assert sorted(recorded.iterdir()) == before
 
 
 def test_replay_says_why_a_demonstration_is_lost(recorded, tmp_path, monkeypatch, capsys):
