@@ -30,18 +30,19 @@ class EvaluateConfig:
     width: int = 50
     """Rollouts simulated at once; rows of different widths are not mixed."""
     engine: Annotated[str, one_of("engine")] = "auto"
-    """Physics; auto is mjx-warp on an accelerator and native without, and sapien for the tasks of
-    ManiSkill, which know no other. Rows of different engines are not mixed."""
+    """Physics; auto is mjx-warp on an accelerator and native without, and for the tasks of
+    ManiSkill sapien-gpu on an NVIDIA card and sapien without. Rows of different engines are not
+    mixed."""
     ensemble: Annotated[float | None, tyro.conf.arg(metavar="FLOAT"), default("as in training")] = (
         None
     )
     """Rate of temporal ensembling, 0 is off. Rows of different rates are not mixed."""
     videos: int = 16
     """Rollouts shown in each of two videos, of the first pairs and of failures; 0 is none."""
-
     distributed: bool = False
     """Be one of several processes that share the rollouts; they find each other as those of
     `jaxcam.train --distributed` do."""
+
     def __post_init__(self) -> None:
         check_types(self)
         check_names(self)

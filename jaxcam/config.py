@@ -115,7 +115,7 @@ class TrainConfig:
     """Held-out (initial state, camera pose) pairs of the final evaluation."""
     engine: Annotated[str, one_of("engine")] = "auto"
     """Physics of the final evaluation; auto is mjx-warp on an accelerator and native without, and
-    sapien for the tasks of ManiSkill, which know no other."""
+    for the tasks of ManiSkill sapien-gpu on an NVIDIA card and sapien without."""
     ensemble: float = 0.0
     """Rate of temporal ensembling in the final evaluation, such as ACT's 0.01: the policy is asked
     at every step, and all that it ever predicted for a step is averaged; 0 is off."""
