@@ -172,7 +172,7 @@ def test_every_conditioning_learns_and_hears_what_it_should(conditioning):
 
 
 def test_noise_comes_only_from_the_key():
-    policy, batch = make(tiny(sampler="ddpm")), make_batch()
+    policy, batch = make(tiny(sampler="ddpm", temperature=1.0)), make_batch()
     params = start(policy)
     for function in (policy.act, lambda *a: policy.loss(*a)[0]):
         a, b, c = (np.asarray(function(params, batch, jax.random.key(k))) for k in (1, 1, 2))
@@ -180,6 +180,19 @@ def test_noise_comes_only_from_the_key():
         assert not np.array_equal(a, c)
         alone = function(params, batch, None)
         np.testing.assert_array_equal(alone, function(params, batch, None))
+
+
+@pytest.mark.parametrize("sampler", ["ddpm", "ddim"])
+def test_the_colder_the_less_actions_vary(sampler):
+    batch, spreads = make_batch(), []
+    for temperature in (1.0, 0.1, 0.0):
+        policy = make(tiny(sampler=sampler, temperature=temperature))
+        params = start(policy)
+        drawn = [np.asarray(policy.act(params, batch, jax.random.key(k))) for k in range(4)]
+        spreads.append(np.std(drawn, 0).mean())
+    assert spreads[0] > 2 * spreads[1] > spreads[2]
+    assert spreads[2] == 0
+    np.testing.assert_array_equal(drawn[0], policy.act(params, batch, None))
 
 
 def test_actions_stay_in_the_range_of_the_data():
@@ -252,6 +265,7 @@ def test_paper_has_the_parameters_of_the_authors_network():
         ({"channels": (8, 12)}, "not multiples of groups 8"),
         ({"sample_steps": 101}, "sample_steps must be 1 to"),
         ({"obs_steps": 4}, "obs_steps must be 1 to 3"),
+        ({"temperature": -1.0}, "temperature must not be negative, got -1"),
     ],
 )
 def test_what_cannot_work_is_refused(changes, hint):

@@ -95,6 +95,8 @@ class DiffusionConfig(VisionConfig):
     """How actions are drawn: ddpm, or ddim, which adds no noise and may take fewer steps."""
     sample_steps: int = 100
     """Denoising steps when acting."""
+    temperature: float = 1.0
+    """Scale of all noise that actions are drawn with; below 1 they vary less, at 0 not at all."""
     padding: str = "sample"
     """How steps past a demonstration's end count in the loss, see `padded_mean`. With sample they
     are zeros before normalisation, as in the paper, otherwise copies of the last action."""
@@ -118,8 +120,9 @@ class DiffusionConfig(VisionConfig):
                 f"sample_steps must be 1 to noising_steps ({self.noising_steps}), "
                 f"got {self.sample_steps}."
             )
-        if self.execute < 0 or self.keyframe_weight < 0 or self.crop < 0:
-            raise ConfigError("execute, keyframe_weight and crop must not be negative.")
+        for name in ("execute", "keyframe_weight", "crop", "temperature"):
+            if getattr(self, name) < 0:
+                raise ConfigError(f"{name} must not be negative, got {getattr(self, name)}.")
         if not 1 <= self.obs_steps < self.chunk:
             raise ConfigError(f"obs_steps must be 1 to {self.chunk - 1}, got {self.obs_steps}.")
 
@@ -167,6 +170,7 @@ DIFFUSION_PRESETS: dict[str, DiffusionConfig] = {
         step_width=64,
         sampler="ddim",
         sample_steps=10,
+        temperature=0.5,
         padding="valid",
     ),
 }
@@ -324,9 +328,10 @@ def make_diffusion(config: DiffusionConfig, spec: PolicySpec, stats: Stats) -> P
         x, fresh = jnp.zeros((batch, *chunk)), None
         if key is not None:
             first, later = jax.random.split(key)
-            x = jax.random.normal(first, x.shape)
+            x = config.temperature * jax.random.normal(first, x.shape)
             if config.sampler == "ddpm":
                 fresh = jax.random.normal(later, (config.sample_steps, *x.shape))
+                fresh = config.temperature * fresh
         actions = net.denoise(condition(net, obs, None), x, fresh)
         return (actions * half + middle)[:, config.obs_steps - 1 :]
 

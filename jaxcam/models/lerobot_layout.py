@@ -83,6 +83,7 @@ LAYOUTS = {
             "network": "none", "encoder": "resnet18", "norm": "group", "encoder_width": 512,
             "pool": "softmax", "heat_gain": 1.0, "features_relu": True, "hidden": (),
             "local_proprio": False, "drop_proprio": False, "keyframe_weight": 0.0,
+            "temperature": 1.0,
         },
         theirs={
             "vision_backbone": "resnet18", "resize_shape": None, "use_group_norm": True,
