@@ -297,6 +297,7 @@ def test_demonstrations_succeed_as_on_the_native_engine(demos, lift, scene):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3000)  # a busy machine compiles for longer than other tests may take
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_mjx_jax_is_as_native(lift, scene, start, controller):
     engine = MjxEngine(scene, controller, lift.varied, "jax")
