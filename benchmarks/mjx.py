@@ -27,6 +27,7 @@ from jaxcam.presets import NAMES
 from jaxcam.rotations import rotvec_from_matrix
 from jaxcam.sim import make_engine, make_task
 from jaxcam.sim.engine import Command, Engine, OpenLoop, Start, State
+from jaxcam.sim.maniskill.task import ManiSkillTask
 from jaxcam.sim.mjx import MjxEngine
 from jaxcam.sim.task import starts
 
@@ -162,7 +163,8 @@ def main() -> None:
             sub.add_argument("dataset", nargs="+")
             sub.add_argument("--demos", type=int, default=20)
             continue
-        sub.add_argument("--tasks", nargs="+", default=list(NAMES["task"]))
+        tasks = [name for name in NAMES["task"] if not isinstance(make_task(name), ManiSkillTask)]
+        sub.add_argument("--tasks", nargs="+", default=tasks)
         if run is program:
             sub.add_argument("--compile", action="store_true", help="mjx-jax too: takes minutes")
             sub.add_argument("--rollouts", nargs="+", type=int, default=[50, 500, 1500])
