@@ -192,8 +192,8 @@ class BatchedWorlds:
 
     def load(self, rows: np.ndarray, states: np.ndarray) -> None:
         """See `SeparateWorlds`."""
-        lost: np.ndarray = ~np.isfinite(self._states).all(-1)
-        asked = np.where(lost[:, None], self._rest, self._states)
+        whole = np.isfinite(self._states).all(-1, keepdims=True)
+        asked = np.where(whole, self._states, self._rest)
         asked[rows] = states
         self._env.put(*_unseen(asked, self._to.sizes))
         self._look()
