@@ -22,7 +22,9 @@ EXTRAS = {
     "lerobot": ("pyarrow",),
     "smolvla": ("safetensors", "tokenizers"),
     "sweep": ("submitit",),
+    "tensorboard": ("tensorboardX",),
     "viz": ("viser",),
+    "wandb": ("wandb",),
 }
 """Modules that the small extras bring."""
 YEAR = 2025
