@@ -2,7 +2,8 @@
 
     python benchmarks/policies.py [--torch-python PATH [--torch-threads 1]] [--rounds 5] [--json]
 
-1. Diffusion Policy's laptop preset, 10 steps of DDIM: 50 observations in one call and 50 calls.
+1. Diffusion Policy, 10 steps of DDIM: 50 observations in one call and 50 calls; `--preset` says of
+   which preset.
 2. One train step (loss, gradients, clipping, AdamW) in float32 of ACT `paper` (ResNet-18 at 256
    pixels, batch 8) and Diffusion Policy `paper` (batch 8), and the same with PyTorch's modules if
    PATH is the Python of an environment for `benchmarks/policies_torch.py`.
@@ -28,6 +29,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxcam.augment import window
 from jaxcam.config import TrainConfig, resolve
 from jaxcam.models import FAMILIES, Policy, PolicySpec, make_policy
 from jaxcam.models.diffusion import Diffusion
@@ -67,6 +69,12 @@ def make_batch(policy: Policy, count: int) -> dict[str, np.ndarray]:
     }
 
 
+def with_history(batch: dict[str, np.ndarray], steps: int) -> dict[str, np.ndarray]:
+    """The observations, each seen for a number of steps."""
+    names = ("image", "K", "base_from_camera", "proprio")
+    return {name: np.repeat(batch[name][:, None], steps, 1) for name in names}
+
+
 class Times(NamedTuple):
     """Seconds that something took."""
 
@@ -96,10 +104,11 @@ def milliseconds(name: str, times: list[Times]) -> dict[str, float]:
 
 def flops(policy: Policy, batch: dict[str, np.ndarray]) -> float:
     """Operations of a call: of the encoder once, of the U-Net every step."""
-    config = policy.config
-    init, network = pure(lambda rngs: Diffusion(config, policy.spec, rngs=rngs))
+    config, spec = policy.config, policy.spec
+    init, network = pure(lambda rngs: Diffusion(config, spec, rngs=rngs))
     params = jax.eval_shape(init, jax.random.key(0))
-    obs = {k: jnp.asarray(v)[:, None] for k, v in batch.items()}
+    obs = {k: jnp.asarray(v) for k, v in with_history(batch, spec.obs_steps).items()}
+    obs |= window(obs, config.crop, None) if config.crop else {}
 
     def condition(params: Any) -> Any:
         return network(params).condition(obs, obs["proprio"])
@@ -114,13 +123,13 @@ def flops(policy: Policy, batch: dict[str, np.ndarray]) -> float:
     return encoder + config.sample_steps * unet
 
 
-def sampling(rounds: int) -> dict[str, float]:
+def sampling(rounds: int, preset: str) -> dict[str, float]:
     """50 observations at once and one by one, and the ratio."""
-    policy, _ = make("diffusion", "laptop")
-    params, act = policy.init(jax.random.key(0)), jax.jit(policy.act)
-    names = ("image", "K", "base_from_camera", "proprio")
-    batch = make_batch(policy, OBSERVATIONS)
-    many = {name: batch[name] for name in names}
+    policy, _ = make("diffusion", preset, sampler="ddim", sample_steps=10)
+    params, act = jax.jit(policy.init)(jax.random.key(0)), jax.jit(policy.act)
+    batch, steps = make_batch(policy, OBSERVATIONS), policy.spec.obs_steps
+    many = with_history(batch, steps)
+    many = {k: v[:, 0] for k, v in many.items()} if steps == 1 else many
     single = [{k: v[i : i + 1] for k, v in many.items()} for i in range(OBSERVATIONS)]
     key, square, multiply = jax.random.key(1), jnp.ones((SQUARE, SQUARE)), jax.jit(jnp.matmul)
     functions = (
@@ -213,12 +222,13 @@ def main() -> None:
     parser.add_argument("--torch-python", help="Python with PyTorch, see policies_torch.py")
     parser.add_argument("--torch-threads", type=int, help="its threads; one waits for no other")
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--preset", default="laptop", help="of which actions are sampled")
     parser.add_argument("--only", choices=("sampling", "act", "diffusion"))
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
     found = {}
     if args.only in (None, "sampling"):
-        found["sampling"] = sampling(args.rounds)
+        found["sampling"] = sampling(args.rounds, args.preset)
     for kind in ("act", "diffusion"):
         if args.only in (None, kind):
             found[kind] = training(kind, args.torch_python, args.rounds, args.torch_threads)
