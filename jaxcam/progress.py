@@ -1,7 +1,9 @@
-"""Progress bars with time left, for people; nothing when there is no console."""
+"""Progress bars with time left, for people; lines now and then in a file; else nothing."""
 
 import contextlib
+import time
 from collections.abc import Callable, Iterator
+from datetime import timedelta
 
 from rich.console import Console
 from rich.progress import (
@@ -13,6 +15,9 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+
+LINE_SECONDS = 60.0
+"""Between the lines in a file, such as the log of a job on a cluster."""
 
 
 @contextlib.contextmanager
@@ -33,6 +38,11 @@ def progress(
     if console is None:
         yield lambda steps=1, note="": None
         return
+    if not console.is_terminal:
+        lines = _Lines(console, what, total, done)
+        yield lines.advance
+        lines.end()
+        return
     columns = (
         TextColumn("{task.description:>12}"),
         BarColumn(),
@@ -52,3 +62,34 @@ def progress(
                 bar.update(task, note=note)
 
         yield advance
+
+
+class _Lines:
+    """Progress where lines stay once they are written."""
+
+    def __init__(self, console: Console, what: str, total: int, done: int) -> None:
+        self._console, self._what, self._total = console, what, total
+        self._first = self._done = done
+        self._note = ""
+        self._started = self._shown = time.monotonic()
+
+    def advance(self, steps: int = 1, note: str = "") -> None:
+        self._done += steps
+        self._note = note or self._note
+        now = time.monotonic()
+        if now - self._shown < LINE_SECONDS or self._done == self._first:
+            return
+        self._shown, gone = now, now - self._started
+        left = gone / (self._done - self._first) * (self._total - self._done)
+        self._show(f"{_clock(gone)} gone, {_clock(left)} left")
+
+    def end(self) -> None:
+        self._show(f"{_clock(time.monotonic() - self._started)} in all")
+
+    def _show(self, clock: str) -> None:
+        line = f"{self._what} {self._done} of {self._total}, {clock}  {self._note}"
+        self._console.print(line.rstrip(), highlight=False, soft_wrap=True)
+
+
+def _clock(seconds: float) -> str:
+    return str(timedelta(seconds=round(seconds)))
