@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -41,18 +42,18 @@ def check_caches(demos: Demos, task: Task, scene: World, count: int) -> Iterator
         count: pictures that are drawn anew.
     """
     folder, stem = demos.path.parent / "frames", demos.path.stem
-    pattern = re.compile(re.escape(stem) + r"-([0-9a-f]{16})-(\d+)px-(.+)\.npy")
-    matches = [m for p in sorted(folder.glob("*.npy")) if (m := pattern.fullmatch(p.name))]
+    pattern = re.compile(re.escape(stem) + r"-([0-9a-f]{16})-(\d+)px-(.+)\.(npy|part)")
+    matches = [m for p in sorted(folder.glob("*")) if (m := pattern.fullmatch(p.name))]
     if not matches:
         yield Finding("pictures", "good", "none are cached; training draws them")
     for match in matches:
-        path, (fingerprint, side, look) = folder / match.string, match.groups()
+        path, (fingerprint, side, look, kind) = folder / match.string, match.groups()
         what = f"pictures, {side} px"
         if fingerprint != demos.fingerprint or look != scene.look:
             other = "of other content"
             if fingerprint == demos.fingerprint:
                 other = f"by another renderer, {look}"
-            size = path.stat().st_size / 1e6
+            size = path.stat().st_blocks * 512 / 1e6
             yield Finding(
                 what,
                 "note",
@@ -60,6 +61,10 @@ def check_caches(demos: Demos, task: Task, scene: World, count: int) -> Iterator
                 where=path.name,
                 fix=f"Delete it to have {size:.0f} MB back.",
             )
+            continue
+        if kind == "part":
+            words = "drawn in part, for runs that see no more: not compared"
+            yield Finding(what, "note", words, where=path.name)
             continue
         try:
             frames = open_frames(path, demos, int(side))
@@ -94,14 +99,14 @@ def draw_overlays(demos: Demos, task: Task, scene: World, count: int) -> np.ndar
 def _blank(what: str, path: Path, frames: Frames) -> Finding:
     """Whether pictures are of one colour, or demonstrations stand still."""
     total = len(frames.pictures)
+    first, cameras = frames.layout.first, frames.layout.cameras
     rows = chosen(total, SCANNED)
     blank = [int(row) for row in rows if is_blank(frames.pictures[row])]
-    ends = [*frames.first[1:], total]
     frozen = [
         i
-        for i, (a, b) in enumerate(zip(frames.first, ends, strict=True))
-        if b - a > frames.cameras[i]
-        and np.array_equal(frames.pictures[a], frames.pictures[b - frames.cameras[i]])
+        for i, (a, b) in enumerate(pairwise(first))
+        if b - a > cameras[i]
+        and np.array_equal(frames.pictures[a], frames.pictures[b - cameras[i]])
     ]
     if not blank and not frozen:
         return Finding(what, "good", f"{total} frames; of {len(rows)} looked at none is blank")
@@ -122,7 +127,7 @@ def _compared(
 ) -> Finding:
     shown = moments(demos, count)
     ours = draw(demos, shown, scene.painter(frames.pictures.shape[1], varied=task.varied))
-    rows = [int(frames.at(*map(np.array, moment))) for moment in shown]
+    rows = [int(frames.layout.at(*map(np.array, moment))) for moment in shown]
     theirs = frames.pictures[rows]
     apart = _apart(ours, theirs)
     if apart.max() <= ALIKE:

@@ -1,7 +1,7 @@
 """Training batches as a pure function of (seed, step, shard), and the statistics of normalisation.
 
-No iterator holds state: `index(seed, step)` names the samples of a step and a shard is a stretch of
-them, so a resumed run, another prefetch depth or other machines see the same batches.
+No iterator holds state: `Samples.index(seed, step)` names the samples of a step and a shard is a
+stretch of them, so a resumed run, another prefetch depth or other machines see the same batches.
 """
 
 from collections.abc import Generator
@@ -15,6 +15,7 @@ from jaxcam.actions import demo_actions
 from jaxcam.demos import Demo, Demos
 from jaxcam.frames import Frames, intrinsics
 from jaxcam.rays import invert
+from jaxcam.samples import Samples, history
 from jaxcam.sim.world import World
 
 Batch = dict[str, Any]
@@ -41,14 +42,22 @@ class Dataset:
     """Where the grip is when its command next changes (base frame, m), per action [D, T, 3]."""
     proprio: np.ndarray = field(repr=False)
     """What the robot feels before each action (`World.proprio`) [D, T, P]."""
-    lengths: np.ndarray = field(repr=False)
-    """Control steps of each demonstration [D]."""
     windows: list[np.ndarray] = field(repr=False)
     """Cameras that see each demonstration."""
     train: int
     """Number of training demonstrations; the rest are for validation."""
     fingerprint: str
     """Of the demonstrations and the pictures."""
+
+    @property
+    def lengths(self) -> np.ndarray:
+        """Control steps of each demonstration [D]."""
+        return self.frames.layout.lengths
+
+    @property
+    def samples(self) -> Samples:
+        """Which of its samples a run takes."""
+        return Samples(self.frames.layout, self.train)
 
     def stats(self) -> dict[str, np.ndarray]:
         """Statistics of the training demonstrations, float32; population std as the authors'."""
@@ -75,8 +84,8 @@ class Dataset:
         steps = t[:, None] + np.arange(chunk) - (obs_steps - 1)
         is_pad = (steps < 0) | (steps >= self.lengths[demo][:, None])
         where = demo[:, None], np.clip(steps, 0, self.actions.shape[1] - 1)
-        seen = np.maximum(t[:, None] + np.arange(1 - obs_steps, 1), 0)
-        rows = self.frames.at(demo[:, None, None], seen[..., None], views[:, None])
+        seen = history(t, obs_steps)
+        rows = self.frames.layout.at(demo[:, None, None], seen[..., None], views[:, None])
         cameras = np.stack([self.windows[d][v] for d, v in zip(demo, views, strict=True)])
         poses = np.broadcast_to(self.base_from_camera[cameras][:, None], (*rows.shape, 4, 4))
         observed = {
@@ -94,42 +103,9 @@ class Dataset:
             "is_pad": is_pad,
         }
 
-    def index(
-        self, seed: int, step: int, batch: int, views: int
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Names a step's samples: demonstrations [B], time steps [B], cameras [B, V].
-
-        As in the authors' harness an epoch takes every training demonstration once, in random
-        order, each at one random time step and from random distinct cameras of its window.
-        """
-        place = step * batch + np.arange(batch)
-        epochs, slots = np.divmod(place, self.train)
-        parts = [self._epoch(seed, int(e), views) for e in np.unique(epochs)]
-        which = np.searchsorted(np.unique(epochs), epochs)
-        pick = [np.stack([p[k] for p in parts])[which, slots] for k in range(3)]
-        return pick[0], pick[1], pick[2]
-
-    def _epoch(self, seed: int, epoch: int, views: int) -> tuple[np.ndarray, ...]:
-        rng = np.random.Generator(np.random.Philox(key=[seed, epoch]))
-        order = rng.permutation(self.train)
-        t = np.floor(rng.random(self.train) * self.lengths[order]).astype(int)
-        draws = rng.random((self.train, max(map(len, self.windows))))
-        cameras = np.stack(
-            [
-                np.argsort(r[: len(self.windows[d])])[:views]
-                for r, d in zip(draws, order, strict=True)
-            ]
-        )
-        return order, t, cameras
-
     def validation(self, chunk: int, views: int, obs_steps: int = 1, per_demo: int = 16) -> Batch:
         """A fixed batch: evenly spaced steps of every validation demonstration."""
-        demos = np.arange(self.train, len(self.lengths)).repeat(per_demo)
-        t = np.concatenate(
-            [np.linspace(0, n - 1, per_demo).astype(int) for n in self.lengths[self.train :]]
-        )
-        cameras = np.tile(np.arange(views) % len(self.windows[-1]), (len(demos), 1))
-        return self.batch(demos, t, cameras, chunk, obs_steps)
+        return self.batch(*self.samples.validation(views, per_demo), chunk, obs_steps)
 
 
 def make_dataset(
@@ -147,8 +123,7 @@ def make_dataset(
         scene: where the demonstrations were given.
     """
     every = demos.train + demos.valid
-    lengths = np.array([d.length for d in every])
-    longest = int(lengths.max())
+    longest = int(frames.layout.lengths.max())
     nq = demos.header.nq
     actions, keyframes, proprio = [], [], []
     for demo in every:
@@ -168,7 +143,6 @@ def make_dataset(
         actions=np.stack(actions).astype(np.float32),
         keyframes=np.stack(keyframes).astype(np.float32),
         proprio=np.stack(proprio).astype(np.float32),
-        lengths=lengths,
         windows=[d.cameras for d in every],
         train=len(demos.train),
         fingerprint=f"{demos.fingerprint}-{pixels}px-{space}",
@@ -213,7 +187,7 @@ def stacked_batches(
     own = slice(number * batch // shards, (number + 1) * batch // shards)
 
     def make(step: int) -> Batch:
-        names = (dataset.index(seed, step + k, batch, views) for k in range(per_call))
+        names = (dataset.samples.index(seed, step + k, batch, views) for k in range(per_call))
         parts = [
             dataset.batch(demo[own], t[own], cameras[own], chunk, obs_steps)
             for demo, t, cameras in names

@@ -1,17 +1,17 @@
 """The pictures of a dataset, rendered once per (dataset, cameras, resolution, renderer).
 
 A cache is one uint8 array on disk, `[frames, H, W, 3]`, read through a memory map. It is written
-as `<name>.part` beside a count of finished demonstrations, so an interrupted rendering goes on.
+as `<name>.part` beside a note of which frames are drawn, so an interrupted rendering goes on. A run
+that sees few of them has only those drawn: a `.part` may stay one, with holes that take no disk.
 """
 
 import functools
-import json
 import multiprocessing
 import os
 import shutil
 import signal
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,28 +25,23 @@ from jaxcam.errors import DatasetError, SimError
 from jaxcam.locks import exclusive
 from jaxcam.progress import progress
 from jaxcam.rays import Camera
-from jaxcam.rundir import write_atomically
+from jaxcam.samples import Layout
 from jaxcam.sim import make_task
 from jaxcam.sim.world import Painter, View, World
 
-DEMOS_PER_WORKER = 8
-"""Demonstrations below which another process is not worth its start."""
+FRAMES_AT_ONCE = 512
+"""Frames that are drawn and kept together."""
+GROUPS_PER_WORKER = 8
+"""Groups of frames below which another process is not worth its start."""
 
 
 @dataclass(frozen=True)
 class Frames:
-    """Pictures of some demonstrations: frame t of camera c of demo i is `pictures[at(i, t, c)]`."""
+    """Pictures of some demonstrations; `layout` says which is where."""
 
     pictures: np.ndarray = field(repr=False)
     """uint8 [frames, H, W, 3]."""
-    first: np.ndarray = field(repr=False)
-    """First frame of each demonstration [demos]."""
-    cameras: np.ndarray = field(repr=False)
-    """Number of cameras of each demonstration [demos]."""
-
-    def at(self, demo: np.ndarray, t: np.ndarray, camera: np.ndarray) -> np.ndarray:
-        """Index of a frame; `camera` counts within the demonstration's window."""
-        return self.first[demo] + t * self.cameras[demo] + camera
+    layout: Layout = field(repr=False)
 
 
 def intrinsics(fovy_deg: float, resolution: int) -> np.ndarray:
@@ -55,13 +50,19 @@ def intrinsics(fovy_deg: float, resolution: int) -> np.ndarray:
     return np.asarray(camera.K)
 
 
-def load_frames(demos: Demos, resolution: int, console: Console | None = None) -> Frames:
+def load_frames(
+    demos: Demos,
+    resolution: int,
+    console: Console | None = None,
+    wanted: np.ndarray | None = None,
+) -> Frames:
     """Renders what is missing of a dataset's pictures and opens them.
 
     Args:
         demos: the dataset; training demonstrations come first, validation ones after.
         resolution: side of the pictures (pixels).
         console: for progress; silent when None.
+        wanted: those that will be looked at, bool [frames]; the others may stay empty. None is all.
 
     Raises:
         CameraError: if the cameras cannot have seen the demonstrations.
@@ -71,11 +72,12 @@ def load_frames(demos: Demos, resolution: int, console: Console | None = None) -
     require_possible(demos)
     name = f"{demos.path.stem}-{demos.fingerprint}-{resolution}px-{_scene(demos.header).look}.npy"
     path = demos.path.parent / "frames" / name
-    if not path.exists():
-        with exclusive(path, console):
-            if not path.exists():
-                _render(path, demos, resolution, console)
-    return open_frames(path, demos, resolution)
+    if path.exists():
+        return open_frames(path, demos, resolution)
+    with exclusive(path, console):
+        if not path.exists():
+            path = _render(path, demos, resolution, console, wanted)
+        return open_frames(path, demos, resolution)
 
 
 def open_frames(path: Path, demos: Demos, resolution: int) -> Frames:
@@ -89,8 +91,8 @@ def open_frames(path: Path, demos: Demos, resolution: int) -> Frames:
     Raises:
         DatasetError: if it is not what was written.
     """
-    first, counts = _places(demos)
-    shape = (int(counts.sum()), resolution, resolution, 3)
+    layout = Layout.of(demos)
+    shape = (layout.total, resolution, resolution, 3)
     try:
         pictures = np.load(path, mmap_mode="r")
         found = f"{pictures.dtype} {list(pictures.shape)}"
@@ -101,33 +103,49 @@ def open_frames(path: Path, demos: Demos, resolution: int) -> Frames:
             f"{path}: the pictures should be uint8 {list(shape)}, but are {found}. Delete the "
             "file; they are drawn anew."
         )
-    windows = np.array([len(d.cameras) for d in demos.train + demos.valid])
-    return Frames(pictures, first, windows)
+    return Frames(pictures, layout)
 
 
-def _places(demos: Demos) -> tuple[np.ndarray, np.ndarray]:
-    """First frame and number of frames of each demonstration."""
-    counts = np.array([d.length * len(d.cameras) for d in demos.train + demos.valid])
-    return np.concatenate([[0], np.cumsum(counts)[:-1]]), counts
+def _render(
+    path: Path,
+    demos: Demos,
+    resolution: int,
+    console: Console | None,
+    wanted: np.ndarray | None,
+) -> Path:
+    """Draws the wanted frames that are missing; returns where they are."""
+    layout = Layout.of(demos)
+    part = _Part(path, (layout.total, resolution, resolution, 3))
+    wanted = np.ones(layout.total, bool) if wanted is None else wanted
+    missing = np.flatnonzero(wanted & ~part.drawn)
+    if len(missing):
+        part.make_room(len(missing))
+        every = demos.train + demos.valid
+        owner = np.searchsorted(layout.first, missing, side="right") - 1
+        groups = [
+            rows[i : i + FRAMES_AT_ONCE]
+            for rows in np.split(missing, np.flatnonzero(np.diff(owner)) + 1)
+            for i in range(0, len(rows), FRAMES_AT_ONCE)
+        ]
+
+        def view(rows: np.ndarray) -> View:
+            d = np.searchsorted(layout.first, rows[0], side="right") - 1
+            return views_of(every[d], demos, resolution, rows - layout.first[d])
+
+        total = int(wanted.sum())
+        drawn = _draw(demos.header, resolution, map(view, groups), len(groups))
+        with progress(console, "rendering", total, done=total - len(missing)) as advance:
+            for rows, pictures in zip(groups, drawn, strict=True):
+                part.write(rows, pictures)
+                advance(len(rows))
+    return part.finish()
 
 
-def _render(path: Path, demos: Demos, resolution: int, console: Console | None) -> None:
-    first, counts = _places(demos)
-    frames = int(counts.sum())
-    _check_room(path, frames * resolution * resolution * 3)
-    part = _Part(path, (frames, resolution, resolution, 3))
-    rest = (demos.train + demos.valid)[part.done :]
-    wanted = [views_of(demo, demos, resolution) for demo in rest]
-    with progress(console, "rendering", frames, done=int(counts[: part.done].sum())) as advance:
-        for i, pictures in enumerate(_draw(demos.header, resolution, wanted), part.done):
-            part.write(int(first[i]), pictures, i + 1)
-            advance(len(pictures))
-    part.finish()
-
-
-def _draw(header: Header, resolution: int, views: list[View]) -> Iterator[np.ndarray]:
+def _draw(
+    header: Header, resolution: int, views: Iterable[View], count: int
+) -> Iterator[np.ndarray]:
     """Pictures of each view in order; by one process a core where one draws with one thread."""
-    workers = min(os.cpu_count() or 1, len(views) // DEMOS_PER_WORKER)
+    workers = min(os.cpu_count() or 1, count // GROUPS_PER_WORKER)
     if workers < 2 or _scene(header).painter_uses_all_cores:
         draw = functools.partial(_draw_view, header.task, header.scene, resolution)
         yield from map(draw, views)
@@ -181,59 +199,69 @@ def _scene(header: Header) -> World:
     return make_task(header.task).scene(header.scene)
 
 
-def _check_room(path: Path, size: int) -> None:
-    part = path.with_suffix(".part")
-    # Blocks, not length: an unfinished file is sparse.
-    there = part.stat().st_blocks * 512 if part.exists() else 0
-    free = shutil.disk_usage(path.parent).free
-    if free + there < size * 1.05:
-        raise DatasetError(
-            f"{path.parent}: the pictures need {size / 1e9:.2g} GB, but {free / 1e9:.2g} GB "
-            "are free. Choose another --data-dir or a smaller --resolution."
-        )
-
-
-def views_of(demo: Demo, demos: Demos, resolution: int) -> View:
-    """Every frame of a demonstration in the cache's order: time, then camera."""
-    cameras, length = len(demo.cameras), demo.length
-    qpos = demo.qpos(demos.header.nq)[:length].repeat(cameras, 0)
-    count = length * cameras
+def views_of(demo: Demo, demos: Demos, resolution: int, which: np.ndarray | None = None) -> View:
+    """Frames of a demonstration in the cache's order, time, then camera; all, or those named."""
+    cameras = len(demo.cameras)
+    frames = np.arange(demo.length * cameras) if which is None else which
+    t, camera = np.divmod(frames, cameras)
+    count = len(frames)
     K = intrinsics(demos.header.fovy_deg, resolution)
     return View(
-        qpos=qpos,
+        qpos=demo.qpos(demos.header.nq)[t],
         geom_size=np.broadcast_to(demo.geom_size, (count, *demo.geom_size.shape)),
         fixtures=np.broadcast_to(demo.fixtures, (count, *demo.fixtures.shape)),
         K=np.broadcast_to(K, (count, 3, 3)),
-        world_from_camera=np.tile(demos.header.world_from_camera[demo.cameras], (length, 1, 1)),
+        world_from_camera=demos.header.world_from_camera[demo.cameras[camera]],
     )
 
 
 class _Part:
-    """An unfinished cache and the count of demonstrations in it."""
+    """An unfinished cache, and which of its frames are drawn."""
 
     def __init__(self, path: Path, shape: tuple[int, ...]) -> None:
         self.path = path
-        self.part = path.with_suffix(".part")
-        self._count = path.with_suffix(".part.json")
-        self.done = 0
-        if self.part.exists() and self._count.exists():
-            self.done = int(json.loads(self._count.read_text())["demos"])
-        mode = "r+" if self.done else "w+"
-        array = np.lib.format.open_memmap(self.part, mode, np.uint8, shape)
-        self._offset, self._frame = array.offset, int(np.prod(shape[1:]))
+        self.part, self._flags = path.with_suffix(".part"), path.with_suffix(".drawn")
+        self._shape, self._frame = shape, int(np.prod(shape[1:]))
+        self.drawn = np.zeros(shape[0], bool)
+        if self.part.exists() and self._flags.exists():
+            flags = np.fromfile(self._flags, bool)
+            if flags.shape == self.drawn.shape:
+                self.drawn = flags
 
-    def write(self, first: int, pictures: np.ndarray, done: int) -> None:
-        # Not through the map: where the disk is full that kills the process, this raises.
+    def make_room(self, frames: int) -> None:
+        """Sees to it that so many more frames can be written."""
+        need, free = frames * self._frame, shutil.disk_usage(self.path.parent).free
+        if free < need * 1.05:
+            raise DatasetError(
+                f"{self.path.parent}: the pictures need {need / 1e9:.2g} GB, but {free / 1e9:.2g} "
+                "GB are free. Choose another --data-dir or a smaller --resolution."
+            )
+        if not self.drawn.any():
+            np.lib.format.open_memmap(self.part, "w+", np.uint8, self._shape)
+            self.drawn.tofile(self._flags)
+
+    def write(self, rows: np.ndarray, pictures: np.ndarray) -> None:
+        """Writes frames of ascending numbers."""
+        # Not through a map: where the disk is full that kills the process, this raises.
         try:
+            offset = self.part.stat().st_size - len(self.drawn) * self._frame
             with open(self.part, "r+b") as file:
-                file.seek(self._offset + first * self._frame)
-                file.write(np.ascontiguousarray(pictures).data)
-            write_atomically(self._count, json.dumps({"demos": done}))
+                for run in np.split(np.arange(len(rows)), np.flatnonzero(np.diff(rows) > 1) + 1):
+                    file.seek(offset + int(rows[run[0]]) * self._frame)
+                    file.write(np.ascontiguousarray(pictures[run]).data)
+            self.drawn[rows] = True
+            with open(self._flags, "r+b") as file:
+                file.seek(int(rows[0]))
+                file.write(self.drawn[rows[0] : rows[-1] + 1].tobytes())
         except OSError as error:
             raise DatasetError(
                 f"{self.part}: {error.strerror}. What is rendered is kept; make room and repeat."
             ) from error
 
-    def finish(self) -> None:
+    def finish(self) -> Path:
+        """Gives a complete cache its name; returns where the pictures are."""
+        if not self.drawn.all():
+            return self.part
         os.replace(self.part, self.path)
-        self._count.unlink(missing_ok=True)
+        self._flags.unlink()
+        return self.path

@@ -161,7 +161,8 @@ def _rows(data: Dataset, demo: int, views: list[str]) -> dict[str, np.ndarray]:
 def _pictures(data: Dataset, demo: int) -> dict[str, np.ndarray]:
     """One demonstration's frames, uint8 [T, H, W, 3] by video."""
     t = np.arange(data.lengths[demo])
-    rows = [data.frames.at(np.array(demo), t, np.array(v)) for v in range(len(data.windows[demo]))]
+    views, at = range(len(data.windows[demo])), data.frames.layout.at
+    rows = [at(np.array(demo), t, np.array(v)) for v in views]
     return {f"observation.images.view_{v}": data.frames.pictures[r] for v, r in enumerate(rows)}
 
 

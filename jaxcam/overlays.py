@@ -60,10 +60,9 @@ def draw(demos: Demos, shown: Sequence[Moment], painter: Painter) -> np.ndarray:
     """Frames drawn anew, uint8 [N, H, W, 3]."""
     every, parts = demos.train + demos.valid, []
     for row, t, camera in shown:
-        frame = t * len(every[row].cameras) + camera
-        views = views_of(every[row], demos, painter.height)
-        parts.append([np.asarray(x)[frame] for x in views])
-    return painter.rgb(View(*map(np.stack, zip(*parts, strict=True))))
+        frame = np.array([t * len(every[row].cameras) + camera])
+        parts.append(views_of(every[row], demos, painter.height, frame))
+    return painter.rgb(View(*map(np.concatenate, zip(*parts, strict=True))))
 
 
 def draw_over(picture: np.ndarray, demos: Demos, shown: Moment, scene: World) -> None:

@@ -58,7 +58,7 @@ def train(config: TrainConfig, console: "Console | None" = None) -> int:
             for run in runs:
                 if run and weights and not checkpoint_steps(run.path):
                     record_weights(run.path, weights)
-            dataset = _dataset(first, console)
+            dataset = _dataset(configs, console)
             check_same("demonstrations", dataset.fingerprint)
             policy = _policy(first, dataset.stats())
             with interrupts() as stop:  # only here is there something to save
@@ -116,20 +116,27 @@ def collect_config(config: TrainConfig) -> CollectConfig:
     return CollectConfig(**{name: getattr(config, name) for name in names})
 
 
-def _dataset(config: TrainConfig, console: "Console | None") -> "Dataset":
+def _dataset(configs: Sequence[TrainConfig], console: "Console | None") -> "Dataset":
+    """What runs that differ in their seed are trained on."""
     from jaxcam.collect import collect
     from jaxcam.data import make_dataset
     from jaxcam.demos import read_demos
     from jaxcam.frames import load_frames
+    from jaxcam.models import policy_settings
+    from jaxcam.samples import Layout, Samples
     from jaxcam.sim import make_task
 
+    config = configs[0]
     task = make_task(config.task)
     task.require()  # hours may pass until the evaluation needs its simulator
     if config.dataset:
         demos = read_demos(Path(config.dataset), task=config.task, scene=config.scene)
     else:
         demos = collect(collect_config(config), console)
-    frames = load_frames(demos, config.resolution, console)
+    samples = Samples(Layout.of(demos), len(demos.train))
+    seeds, obs_steps = [c.seed for c in configs], policy_settings(config).obs_steps
+    wanted = samples.wanted(seeds, config.steps, config.batch, config.views, obs_steps)
+    frames = load_frames(demos, config.resolution, console, wanted)
     return make_dataset(demos, frames, config.action_space, task.scene(config.scene))
 
 

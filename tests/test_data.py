@@ -1,5 +1,7 @@
 """Batches are a pure function of (seed, step), and hold what their index names."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -21,17 +23,18 @@ def equal(a, b):
 
 
 def test_index_is_a_function_of_seed_and_step(dataset):
-    later = [dataset.index(0, step, 3, 2) for step in range(6)]
+    later = [dataset.samples.index(0, step, 3, 2) for step in range(6)]
     for step in (5, 0, 3):
-        for a, b in zip(dataset.index(0, step, 3, 2), later[step], strict=True):
+        for a, b in zip(dataset.samples.index(0, step, 3, 2), later[step], strict=True):
             np.testing.assert_array_equal(a, b)
-    others = [np.concatenate([dataset.index(s, k, 3, 2)[1] for k in range(6)]) for s in (0, 1)]
+    index = dataset.samples.index
+    others = [np.concatenate([index(s, k, 3, 2)[1] for k in range(6)]) for s in (0, 1)]
     assert (others[0] != others[1]).any()
 
 
 @pytest.mark.parametrize("batch", [1, 3, 4, 11])
 def test_every_epoch_takes_each_demonstration_once(dataset, batch):
-    order = np.concatenate([dataset.index(0, step, batch, 1)[0] for step in range(44)])
+    order = np.concatenate([dataset.samples.index(0, step, batch, 1)[0] for step in range(44)])
     epochs = order[: len(order) // 4 * 4].reshape(-1, 4)
     assert (np.sort(epochs, 1) == np.arange(4)).all()
     assert len({tuple(e) for e in epochs}) > 5
@@ -40,12 +43,12 @@ def test_every_epoch_takes_each_demonstration_once(dataset, batch):
 
 
 def _sequence(dataset, count):
-    return np.concatenate([dataset.index(0, step, 1, 1)[0] for step in range(count)])
+    return np.concatenate([dataset.samples.index(0, step, 1, 1)[0] for step in range(count)])
 
 
 def test_time_steps_are_inside_and_cover_the_demonstration(dataset):
     demo, t, _ = (np.concatenate(x) for x in zip(
-        *(dataset.index(0, s, 40, 1) for s in range(60)), strict=True
+        *(dataset.samples.index(0, s, 40, 1) for s in range(60)), strict=True
     ))  # fmt: skip
     assert (t >= 0).all()
     assert (t < dataset.lengths[demo]).all()
@@ -54,7 +57,7 @@ def test_time_steps_are_inside_and_cover_the_demonstration(dataset):
 
 
 def test_views_of_a_sample_are_distinct_and_from_its_window(dataset):
-    _, _, views = dataset.index(0, 0, 200, 2)
+    _, _, views = dataset.samples.index(0, 0, 200, 2)
     assert (views[:, 0] != views[:, 1]).all()
     assert set(views.ravel()) == {0, 1, 2}
 
@@ -80,11 +83,27 @@ def test_a_batch_holds_what_its_index_names(dataset, demos, frames, scene):
         reach = scene.world_from_base @ np.append(batch["proprio"][b, 7:10], 1)
         np.testing.assert_allclose(reach[:3], d.eef_pos[t[b]], atol=1e-6)
         for v in range(2):
-            row = frames.at(demo[b], t[b], views[b, v])
+            row = frames.layout.at(demo[b], t[b], views[b, v])
             np.testing.assert_array_equal(batch["image"][b, v], frames.pictures[row])
             world = scene.world_from_base @ batch["base_from_camera"][b, v]
             expected = demos.header.world_from_camera[d.cameras[views[b, v]]]
             np.testing.assert_allclose(world, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize(("views", "obs_steps"), [(1, 1), (2, 3)])
+def test_wanted_frames_are_those_that_batches_hold(dataset, views, obs_steps):
+    rows = np.arange(dataset.frames.layout.total)
+    numbered = np.stack([rows % 256, rows // 256, 0 * rows], -1).astype(np.uint8)[:, None, None]
+    dataset = replace(dataset, frames=replace(dataset.frames, pictures=numbered))
+    sizes = {"views": views, "chunk": CHUNK, "obs_steps": obs_steps}
+    made = [dataset.validation(**sizes)]
+    for seed in (0, 3):
+        made += [batch for _, batch in stacked_batches(dataset, seed, 0, 6, 1, 2, **sizes)]
+    held = [b["image"].astype(int)[..., 0] + 256 * b["image"].astype(int)[..., 1] for b in made]
+    wanted = dataset.samples.wanted((0, 3), 6, 2, views, obs_steps)
+    expected = np.unique(np.concatenate([h.ravel() for h in held]))
+    np.testing.assert_array_equal(np.flatnonzero(wanted), expected)
+    assert dataset.samples.wanted((0,), 1000, 64, views, obs_steps) is None  # nearly all
 
 
 def test_what_is_past_the_end_is_masked_and_zero(dataset):

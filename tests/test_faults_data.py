@@ -297,7 +297,7 @@ def test_pictures_that_show_something_else(cached, pictures_of, change, cause):
 
 def test_blank_and_frozen_pictures(cached, pictures_of):
     demos, cache, pictures = cached
-    _, second, third = load_frames(demos, PIXELS).first[:3]
+    _, second, third = load_frames(demos, PIXELS).layout.first[:3]
     pictures[0] = 0
     pictures[second:third] = pictures[second]
     pictures.flush()

@@ -44,7 +44,7 @@ def test_cached_pictures_are_fresh_renders_of_state_and_camera(demos, frames, re
                 intrinsics(45, PIXELS)[None],
                 demos.header.world_from_camera[demo.cameras[c_]][None],
             )
-            row = frames.at(np.array(i), np.array(t_), np.array(c_))
+            row = frames.layout.at(np.array(i), np.array(t_), np.array(c_))
             np.testing.assert_array_equal(frames.pictures[row], renderer.rgb(view)[0])
             seen.add(int(row))
     assert {0, len(frames.pictures) - 1} <= seen
@@ -52,7 +52,7 @@ def test_cached_pictures_are_fresh_renders_of_state_and_camera(demos, frames, re
 
 def test_every_frame_has_one_place(demos, frames):
     rows = [
-        frames.at(np.array(i), np.array(t), np.array(c))
+        frames.layout.at(np.array(i), np.array(t), np.array(c))
         for i, d in enumerate(demos.train + demos.valid)
         for t in range(d.length)
         for c in range(len(d.cameras))
@@ -88,9 +88,37 @@ def test_an_interrupted_rendering_ends_as_an_uninterrupted_one(elsewhere, frames
 
 
 def test_one_process_a_core_renders_the_same(elsewhere, frames, monkeypatch):
-    monkeypatch.setattr(frames_module, "DEMOS_PER_WORKER", 1)
+    monkeypatch.setattr(frames_module, "GROUPS_PER_WORKER", 1)
     monkeypatch.setattr(frames_module.os, "cpu_count", lambda: 2)
     np.testing.assert_array_equal(load_frames(elsewhere, PIXELS).pictures, frames.pictures)
+
+
+def test_only_what_is_wanted_is_drawn(elsewhere, frames, monkeypatch):
+    draw, drawn = frames_module._draw, []
+
+    def counting(*args):
+        for pictures in draw(*args):
+            drawn.append(len(pictures))
+            yield pictures
+
+    monkeypatch.setattr(frames_module, "_draw", counting)
+    wanted = np.random.default_rng(0).random(frames.layout.total) < 0.2
+    some = load_frames(elsewhere, PIXELS, wanted=wanted)
+    np.testing.assert_array_equal(some.pictures[wanted], frames.pictures[wanted])
+    assert not some.pictures[~wanted].any()
+    assert sum(drawn) == wanted.sum()
+    load_frames(elsewhere, PIXELS, wanted=wanted)
+    assert sum(drawn) == wanted.sum()
+    wanted[[0, -1]] = True
+    more = load_frames(elsewhere, PIXELS, wanted=wanted)
+    np.testing.assert_array_equal(more.pictures[wanted], frames.pictures[wanted])
+    assert sum(drawn) == wanted.sum()
+    assert not any(name.endswith(".npy") for name in pictures_in(elsewhere))
+    every = load_frames(elsewhere, PIXELS)
+    np.testing.assert_array_equal(every.pictures, frames.pictures)
+    assert sum(drawn) == frames.layout.total
+    assert [name.rsplit(".", 1)[1] for name in pictures_in(elsewhere)] == ["npy"]
+    np.testing.assert_array_equal(some.pictures, frames.pictures)  # the same file, still open
 
 
 def test_no_room_on_the_disk(elsewhere, monkeypatch):
@@ -106,10 +134,10 @@ def test_no_room_on_the_disk(elsewhere, monkeypatch):
 def test_a_disk_that_fills_up_keeps_what_is_done(elsewhere, frames, monkeypatch):
     write = frames_module._Part.write
 
-    def full(self, first, pictures, done):
-        if done == 6:
+    def full(self, rows, pictures):
+        if self.drawn[: rows[0]].all() and rows[0] > len(self.drawn) // 2:
             monkeypatch.setattr(self, "part", self.part.with_name("none") / "full")
-        write(self, first, pictures, done)
+        write(self, rows, pictures)
 
     with monkeypatch.context() as patch:
         patch.setattr(frames_module._Part, "write", full)

@@ -119,7 +119,7 @@ def test_videos_are_the_frames(folder, data):
         t = np.arange(data.lengths[e])
         for v in range(3):
             shown = frames_of(folder, episode, f"observation.images.view_{v}")
-            drawn = data.frames.pictures[data.frames.at(np.array(e), t, np.array(v))]
+            drawn = data.frames.pictures[data.frames.layout.at(np.array(e), t, np.array(v))]
             assert shown.shape == drawn.shape
             error = np.mean((shown.astype(float) - drawn) ** 2, (1, 2, 3))
             others = np.mean((shown.astype(float) - drawn[::-1]) ** 2)
@@ -140,7 +140,7 @@ def test_statistics_are_those_of_all_rows(folder, data):
     drawn = []
     for e in range(data.train):
         t = np.arange(data.lengths[e])
-        drawn.append(data.frames.pictures[data.frames.at(np.array(e), t, np.array(1))])
+        drawn.append(data.frames.pictures[data.frames.layout.at(np.array(e), t, np.array(1))])
     pixels = np.concatenate(drawn).reshape(-1, 3) / 255
     picture = stats["observation.images.view_1"]
     assert np.shape(picture["mean"]) == (3, 1, 1)

@@ -114,7 +114,7 @@ def test_pictures_are_rendered_from_recorded_states(recorded, tmp_path):
     found = []
     for row in (np.array(0), np.array(demo.length - 1)):
         for slot, pose in enumerate(demos.header.world_from_camera[demo.cameras]):
-            picture = frames.pictures[frames.at(0, row, slot)].astype(int)
+            picture = frames.pictures[frames.layout.at(0, row, slot)].astype(int)
             blue = picture[..., 2] - picture[..., :2].max(-1) > 60
             uv, _ = replace(camera, world_from_camera=pose).project(demo.states[row, 10:13])
             if blue.sum() > 8 and (abs(uv - side / 2) < side / 2 - 6).all():

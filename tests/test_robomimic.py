@@ -14,12 +14,13 @@ import pytest
 
 from jaxcam.actions import encode
 from jaxcam.check import examine
-from jaxcam.config import RobomimicConfig, TrainConfig
+from jaxcam.config import RobomimicConfig, TrainConfig, resolve
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.frames import Frames
 from jaxcam.robomimic import import_demos, success_of
 from jaxcam.robosuite_model import read_controller, read_origin
 from jaxcam.rotations import matrix_from_rotvec, rotvec_from_matrix
+from jaxcam.samples import Layout
 from jaxcam.sim.engine import Command, Start
 from jaxcam.sim.native import NativeEngine
 from jaxcam.train import _dataset, _like_its_dataset, train
@@ -331,9 +332,10 @@ def test_training_takes_a_dataset_and_its_numbers(tmp_path, files, monkeypatch):
     config = TrainConfig(dataset=str(demos.path), resolution=16, run_dir=str(tmp_path / "run"))
     like = _like_its_dataset(config)
     assert (like.demos, like.validation, like.n, like.m) == (1, 1, 2, 2)
-    black = Frames(np.zeros((200, 16, 16, 3), np.uint8), np.array([0, 100]), np.array([2, 1]))
+    layout = Layout.of(demos)
+    black = Frames(np.zeros((layout.total, 16, 16, 3), np.uint8), layout)
     monkeypatch.setattr("jaxcam.frames.load_frames", lambda *_: black)
-    data = _dataset(like, None)
+    data = _dataset([resolve(like)], None)
     assert data.lengths.tolist() == [d.length for d in demos.train + demos.valid]
     assert [len(w) for w in data.windows] == [2, 1]
     assert demos.fingerprint in data.fingerprint

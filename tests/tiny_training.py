@@ -19,6 +19,7 @@ from jaxcam.frames import Frames
 from jaxcam.loop import Trainer
 from jaxcam.models import Policy, PolicySpec
 from jaxcam.rundir import Interrupt, RunDir
+from jaxcam.samples import Layout
 
 TRAIN, VALID, STEPS, CAMERAS, PIXELS, CHUNK = 4, 2, 12, 3, 16, 2
 SPEC = PolicySpec(action_dim=2, proprio_dim=3, views=1, height=PIXELS, width=PIXELS, chunk=CHUNK)
@@ -41,13 +42,12 @@ def dataset():
         return rng.normal(size=(count, STEPS, size)).astype(np.float32)
 
     return Dataset(
-        frames=Frames(pictures, np.arange(count) * STEPS * CAMERAS, np.full(count, CAMERAS)),
+        frames=Frames(pictures, Layout(np.full(count, STEPS), np.full(count, CAMERAS))),
         K=np.diag([20.0, 20, 1]).astype(np.float32),
         base_from_camera=poses,
         actions=values(SPEC.action_dim),
         keyframes=values(3),
         proprio=values(SPEC.proprio_dim),
-        lengths=np.full(count, STEPS),
         windows=list(np.arange(count * CAMERAS).reshape(count, CAMERAS)),
         train=TRAIN,
         fingerprint="noise",
