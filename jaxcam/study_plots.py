@@ -235,4 +235,8 @@ def _legend(
     if papers and any(paper_value(arm) is not None for arm in arms):
         handles.append(Line2D([], [], marker="D", color="white", markeredgecolor=INK, linestyle="",
                               markersize=5, label="paper"))  # fmt: skip
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+    for columns in range(len(handles), 0, -1):
+        legend = figure.legend(handles=handles, loc="outside lower center", ncols=columns)
+        if columns == 1 or legend.get_window_extent().width <= figure.bbox.width:
+            return
+        legend.remove()

@@ -231,6 +231,10 @@ def test_figures_of_the_paper(tmp_path):
                                                          COLOURS["late"].lower()] * 2  # fmt: skip
     assert all(b.get_hatch() for b in drawn)  # none has all rollouts of the protocol
     assert all(b.get_height() == 0.5 for b in drawn)
+    figure.draw_without_rendering()
+    (legend,) = figure.legends
+    assert figure.bbox.x0 <= legend.get_window_extent().x0
+    assert legend.get_window_extent().x1 <= figure.bbox.x1
     write_comparison(read_runs([tmp_path]), tmp_path / "out")
     made = {p.name for p in (tmp_path / "out" / "figures").iterdir()}
     assert {"fixed_randomized.png", "encodings.png", "cameras.png", "gains.png"} <= made
