@@ -52,7 +52,8 @@ def bars(shown: Sequence[Panel], names: Mapping[Any, str]) -> Figure:
         paper's numbers.
     """
     widest = max(sum(len(arms) for arms in panel.arms.values()) for panel in shown)
-    figure, grid = _grid(len(shown), (1.1 + 0.42 * widest, 3.4))
+    width = max(1.1 + 0.42 * widest, 4.0 / len(shown))  # 4 inches hold the legend
+    figure, grid = _grid(len(shown), (width, 3.4))
     for axes, panel in zip(grid, shown, strict=True):
         place = 0.0
         ticks = []
