@@ -121,15 +121,14 @@ def _render(
     if len(missing):
         part.make_room(len(missing))
         every = demos.train + demos.valid
-        owner = np.searchsorted(layout.first, missing, side="right") - 1
         groups = [
             rows[i : i + FRAMES_AT_ONCE]
-            for rows in np.split(missing, np.flatnonzero(np.diff(owner)) + 1)
+            for rows in np.split(missing, np.flatnonzero(np.diff(layout.owner(missing))) + 1)
             for i in range(0, len(rows), FRAMES_AT_ONCE)
         ]
 
         def view(rows: np.ndarray) -> View:
-            d = np.searchsorted(layout.first, rows[0], side="right") - 1
+            d = layout.owner(rows[0])
             return views_of(every[d], demos, resolution, rows - layout.first[d])
 
         total = int(wanted.sum())

@@ -37,6 +37,10 @@ class Layout:
         """Number of frames."""
         return int(self.first[-1])
 
+    def owner(self, frame: np.ndarray) -> np.ndarray:
+        """The demonstration that a frame is of."""
+        return np.searchsorted(self.first, frame, side="right") - 1
+
     def at(self, demo: np.ndarray, t: np.ndarray, camera: np.ndarray) -> np.ndarray:
         """Index of a frame; `camera` counts within the demonstration's window."""
         return self.first[demo] + t * self.cameras[demo] + camera

@@ -316,6 +316,15 @@ def test_pictures_of_other_content_are_told_and_not_used(cached, pictures_of):
     assert (found.mark, found.where) == ("note", other.name)
 
 
+def test_pictures_that_are_drawn_in_part_are_told(cached, pictures_of):
+    demos, cache, _ = cached
+    part = cache.with_suffix(".part")
+    cache.rename(part)
+    (found,) = pictures_of(demos)
+    assert (found.mark, found.where) == ("note", part.name)
+    assert "not compared" in found.got
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
