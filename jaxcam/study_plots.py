@@ -13,6 +13,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from jaxcam.camera_plots import angle_ticks, draw_cameras, rate_by_camera
@@ -184,8 +185,10 @@ def _bar(axes: Axes, x: float, arm: Arm) -> None:
         _diamond(axes, x, value / 100)
         top = max(top, value / 100 + 0.02)
     above = top < 0.66  # else there is no room, and the bar is tall enough to hold it
+    dark = not above and not arm.lacks
+    halo = withStroke(linewidth=2.2, foreground=colour if dark else "white")  # hatching, grid lines
     axes.text(x, top + 0.015 if above else 0.02, text, rotation=90, ha="center", va="bottom",
-              fontsize=7.5, color=INK if above else "white")  # fmt: skip
+              fontsize=7.5, color="white" if dark else INK, path_effects=[halo])  # fmt: skip
 
 
 def _diamond(axes: Axes, x: float, y: float) -> None:
