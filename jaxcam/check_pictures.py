@@ -11,8 +11,9 @@ from jaxcam.demos import Demos
 from jaxcam.errors import JaxcamError
 from jaxcam.findings import Finding, some
 from jaxcam.frames import Frames, is_blank, open_frames
-from jaxcam.overlays import PIXELS, chosen, draw, draw_over, moments, sheet
+from jaxcam.overlays import PIXELS, Moment, chosen, draw, draw_over, moments, sheet
 from jaxcam.rays import spherical
+from jaxcam.samples import Layout
 from jaxcam.sim.task import Task
 from jaxcam.sim.world import World
 
@@ -42,12 +43,12 @@ def check_caches(demos: Demos, task: Task, scene: World, count: int) -> Iterator
         count: pictures that are drawn anew.
     """
     folder, stem = demos.path.parent / "frames", demos.path.stem
-    pattern = re.compile(re.escape(stem) + r"-([0-9a-f]{16})-(\d+)px-(.+)\.(npy|part)")
+    pattern = re.compile(re.escape(stem) + r"-([0-9a-f]{16})-(\d+)px-(.+)\.(?:npy|part)")
     matches = [m for p in sorted(folder.glob("*")) if (m := pattern.fullmatch(p.name))]
     if not matches:
         yield Finding("pictures", "good", "none are cached; training draws them")
     for match in matches:
-        path, (fingerprint, side, look, kind) = folder / match.string, match.groups()
+        path, (fingerprint, side, look) = folder / match.string, match.groups()
         what = f"pictures, {side} px"
         if fingerprint != demos.fingerprint or look != scene.look:
             other = "of other content"
@@ -62,14 +63,13 @@ def check_caches(demos: Demos, task: Task, scene: World, count: int) -> Iterator
                 fix=f"Delete it to have {size:.0f} MB back.",
             )
             continue
-        if kind == "part":
-            words = "drawn in part, for runs that see no more: not compared"
-            yield Finding(what, "note", words, where=path.name)
-            continue
         try:
             frames = open_frames(path, demos, int(side))
         except JaxcamError as error:
             yield Finding(what, "bad", str(error), where=path.name)
+            continue
+        if not frames.drawn.any():
+            yield Finding(what, "note", "none drawn yet", where=path.name)
             continue
         yield _blank(what, path, frames)
         yield _compared(what, path, frames, demos, task, scene, count)
@@ -98,18 +98,20 @@ def draw_overlays(demos: Demos, task: Task, scene: World, count: int) -> np.ndar
 
 def _blank(what: str, path: Path, frames: Frames) -> Finding:
     """Whether pictures are of one colour, or demonstrations stand still."""
-    total = len(frames.pictures)
     first, cameras = frames.layout.first, frames.layout.cameras
-    rows = chosen(total, SCANNED)
+    rows = _some_drawn(frames, SCANNED)
     blank = [int(row) for row in rows if is_blank(frames.pictures[row])]
     frozen = [
         i
         for i, (a, b) in enumerate(pairwise(first))
         if b - a > cameras[i]
+        and frames.drawn[[a, b - cameras[i]]].all()
         and np.array_equal(frames.pictures[a], frames.pictures[b - cameras[i]])
     ]
     if not blank and not frozen:
-        return Finding(what, "good", f"{total} frames; of {len(rows)} looked at none is blank")
+        total, drawn = len(frames.drawn), frames.drawn.sum()
+        got = f"{total} frames" if drawn == total else f"{drawn} of {total} frames are drawn"
+        return Finding(what, "good", f"{got}; of {len(rows)} looked at none is blank")
     where = some([f"frame {row}" for row in blank] + [f"demo_{i}" for i in frozen])
     got = f"{len(blank)} of {len(rows)} frames are blank; {len(frozen)} demonstrations stand still"
     return Finding(
@@ -125,9 +127,9 @@ def _blank(what: str, path: Path, frames: Frames) -> Finding:
 def _compared(
     what: str, path: Path, frames: Frames, demos: Demos, task: Task, scene: World, count: int
 ) -> Finding:
-    shown = moments(demos, count)
+    rows = _some_drawn(frames, count)
+    shown = [_moment(frames.layout, row) for row in rows.tolist()]
     ours = draw(demos, shown, scene.painter(frames.pictures.shape[1], varied=task.varied))
-    rows = [int(frames.layout.at(*map(np.array, moment))) for moment in shown]
     theirs = frames.pictures[rows]
     apart = _apart(ours, theirs)
     if apart.max() <= ALIKE:
@@ -144,6 +146,18 @@ def _compared(
         where,
         f"{cause}Delete {path}; it is drawn anew.",
     )
+
+
+def _some_drawn(frames: Frames, count: int) -> np.ndarray:
+    """Numbers of frames that are drawn, evenly spread."""
+    drawn = np.flatnonzero(frames.drawn)
+    return drawn[chosen(len(drawn), count)]
+
+
+def _moment(layout: Layout, frame: int) -> Moment:
+    row = int(layout.owner(np.array(frame)))
+    t, camera = divmod(frame - int(layout.first[row]), int(layout.cameras[row]))
+    return Moment(row, t, camera)
 
 
 def _apart(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -42,6 +42,8 @@ class Frames:
     pictures: np.ndarray = field(repr=False)
     """uint8 [frames, H, W, 3]."""
     layout: Layout = field(repr=False)
+    drawn: np.ndarray = field(repr=False)
+    """Which of them are drawn, bool [frames]; the others are black."""
 
 
 def intrinsics(fovy_deg: float, resolution: int) -> np.ndarray:
@@ -103,7 +105,16 @@ def open_frames(path: Path, demos: Demos, resolution: int) -> Frames:
             f"{path}: the pictures should be uint8 {list(shape)}, but are {found}. Delete the "
             "file; they are drawn anew."
         )
-    return Frames(pictures, layout)
+    return Frames(pictures, layout, _drawn(path, layout.total))
+
+
+def _drawn(path: Path, total: int) -> np.ndarray:
+    """Which frames of a cache are drawn, bool [total]."""
+    if path.suffix != ".part":
+        return np.ones(total, bool)
+    flags = path.with_suffix(".drawn")
+    drawn = np.fromfile(flags, bool) if path.exists() and flags.exists() else np.zeros(0, bool)
+    return drawn if len(drawn) == total else np.zeros(total, bool)
 
 
 def _render(
@@ -221,11 +232,7 @@ class _Part:
         self.path = path
         self.part, self._flags = path.with_suffix(".part"), path.with_suffix(".drawn")
         self._shape, self._frame = shape, int(np.prod(shape[1:]))
-        self.drawn = np.zeros(shape[0], bool)
-        if self.part.exists() and self._flags.exists():
-            flags = np.fromfile(self._flags, bool)
-            if flags.shape == self.drawn.shape:
-                self.drawn = flags
+        self.drawn = _drawn(self.part, shape[0])
 
     def make_room(self, frames: int) -> None:
         """Sees to it that so many more frames can be written."""

@@ -316,13 +316,24 @@ def test_pictures_of_other_content_are_told_and_not_used(cached, pictures_of):
     assert (found.mark, found.where) == ("note", other.name)
 
 
-def test_pictures_that_are_drawn_in_part_are_told(cached, pictures_of):
-    demos, cache, _ = cached
-    part = cache.with_suffix(".part")
+def test_of_pictures_drawn_in_part_those_that_are_drawn_are_compared(cached, pictures_of):
+    demos, cache, pictures = cached
+    part, flags = cache.with_suffix(".part"), cache.with_suffix(".drawn")
     cache.rename(part)
     (found,) = pictures_of(demos)
-    assert (found.mark, found.where) == ("note", part.name)
-    assert "not compared" in found.got
+    assert (found.mark, found.got, found.where) == ("note", "none drawn yet", part.name)
+    drawn = np.arange(len(pictures)) % 3 == 0
+    drawn.tofile(flags)
+    pictures[~drawn] = 0
+    pictures.flush()
+    looked, same = pictures_of(demos)
+    assert (looked.mark, same.mark) == ("good", "good")
+    assert f"{drawn.sum()} of {len(drawn)} frames are drawn" in looked.got
+    pictures[:] = pictures[..., ::-1]
+    pictures.flush()
+    _, swapped = pictures_of(demos)
+    assert swapped.mark == "bad"
+    assert "BGR" in swapped.fix
 
 
 @pytest.mark.parametrize(

@@ -333,7 +333,8 @@ def test_training_takes_a_dataset_and_its_numbers(tmp_path, files, monkeypatch):
     like = _like_its_dataset(config)
     assert (like.demos, like.validation, like.n, like.m) == (1, 1, 2, 2)
     layout = Layout.of(demos)
-    black = Frames(np.zeros((layout.total, 16, 16, 3), np.uint8), layout)
+    total = layout.total
+    black = Frames(np.zeros((total, 16, 16, 3), np.uint8), layout, np.ones(total, bool))
     monkeypatch.setattr("jaxcam.frames.load_frames", lambda *_: black)
     data = _dataset([resolve(like)], None)
     assert data.lengths.tolist() == [d.length for d in demos.train + demos.valid]
