@@ -30,7 +30,7 @@ C = TypeVar("C", "TrainConfig", "CollectConfig", "RobomimicConfig")
 # Settings that leave every update of a run as it was; all others are part of a run's identity.
 FREE_TO_CHANGE = frozenset({
     "pairs", "engine", "ensemble", "data_dir", "dataset", "run_dir", "log_every", "eval_every",
-    "save_every", "keep", "seeds", "log", "distributed",
+    "save_every", "keep", "videos", "seeds", "log", "distributed",
 })  # fmt: skip
 
 
@@ -120,6 +120,10 @@ class TrainConfig:
     """Rate of temporal ensembling in the final evaluation, such as ACT's 0.01: the policy is asked
     at every step, and all that it ever predicted for a step is averaged; 0 is off."""
 
+    videos: int = 16
+    """Rollouts shown in each of two videos of the final evaluation, of the first pairs and of
+    failures; 0 is none."""
+
     data_dir: str = "data"
     """Folder of the datasets."""
     dataset: Annotated[str, default("collected")] = ""
@@ -148,7 +152,7 @@ class TrainConfig:
         check_least(self, 1, "views steps batch n demos pairs keep log_every eval_every")
         check_least(self, 1, "save_every steps_per_call accumulate")
         check_least(self, 0, "seed warmup weight_decay m validation ema ema_power clip_norm")
-        check_least(self, 0, "final_lr beta1 beta2")
+        check_least(self, 0, "final_lr beta1 beta2 videos")
         check_least(self, 16, "resolution")
         check_least(self, 0, "lr crop_min", or_equal=False)
         check_least(self, -1, "ensemble")

@@ -128,18 +128,19 @@ def _write_videos(
 ) -> None:
     """A video of the first rollouts, and one of the first failures."""
     split, step = rows[0]["split"], rows[0]["step"]
+    first = list(range(len(rows)))[:most]
     failures = [i for i, row in enumerate(rows) if row["status"] == "ok" and not row["success"]]
-    for name, chosen in (("", [*range(len(rows))]), ("failures-", failures)):
-        chosen = chosen[:most]
+    failures = failures[:most]
+    shown = sorted({*first, *failures})
+    some = Rollouts(done.success[shown], done.steps[shown], done.ok[shown], done.qpos[:, shown])
+    drawn = evaluator.clips(some, split, [rows[i]["pair"] for i in shown])
+    clips = dict(zip(shown, drawn, strict=True))
+    for name, chosen in (("", first), ("failures-", failures)):
         if chosen:
-            shown = [rows[i] for i in chosen]
-            some = Rollouts(
-                done.success[chosen], done.steps[chosen], done.ok[chosen], done.qpos[:, chosen]
-            )
-            clips = evaluator.clips(some, split, [row["pair"] for row in shown])
             file = folder / f"{name}{split}-{step:06d}.mp4"
             try:
-                write_video(file, grid(clips, rows=shown), fps=10)
+                tiles = grid([clips[i] for i in chosen], rows=[rows[i] for i in chosen])
+                write_video(file, tiles, fps=10)
             except OSError as error:  # of a full disk, for example: the rows matter more
                 _log.warning("The video %s could not be written: %s.", file, error)
 

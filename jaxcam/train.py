@@ -26,9 +26,6 @@ if TYPE_CHECKING:
     from jaxcam.state import TrainState
     from jaxcam.weights import Weights
 
-VIDEOS = 16
-"""Rollouts shown in the final video."""
-
 
 def train(config: TrainConfig, console: "Console | None" = None) -> int:
     """Trains one run from wherever it stands to its report.
@@ -207,7 +204,7 @@ def _finish(
         Path(config.run_dir),
         step=step,
         pairs=config.pairs,
-        videos=VIDEOS,
+        videos=config.videos,
         console=console,
     )
     if run is None:

@@ -94,6 +94,29 @@ def test_a_disk_without_room_for_videos_keeps_the_rows(lift, tmp_path, monkeypat
     assert not list((tmp_path / "videos").glob("*.mp4"))
 
 
+def test_a_rollout_of_both_videos_is_drawn_once(lift, tmp_path, monkeypatch):
+    drawn = []
+
+    def clips(self, done, split, pairs):
+        drawn.append(pairs)
+        assert len(done.steps) == len(pairs)
+        return [np.full((2, 8, 8, 3), 9 * p, np.uint8) for p in pairs]
+
+    def run(self, policy, params, split, pairs, **_):
+        row = {"step": 7, "split": split, "run": "", "width": 5, "status": "ok"}
+        rows = [{**row, "pair": p, "success": p in (0, 2)} for p in pairs]
+        nothing = np.zeros(len(pairs))
+        return rows, Rollouts(nothing > 0, nothing, nothing == 0, np.zeros((1, len(pairs), 1)))
+
+    monkeypatch.setattr(FlakyEvaluator, "width", 5)
+    monkeypatch.setattr(FlakyEvaluator, "run", run)
+    monkeypatch.setattr(FlakyEvaluator, "clips", clips, raising=False)
+    evaluate(FlakyEvaluator(lift), None, None, tmp_path, step=7, pairs=5, videos=2)  # pyright: ignore
+    assert drawn == [[0, 1, 3]]  # 0 and 1 come first, 1 and 3 fail first
+    names = sorted(file.name for file in (tmp_path / "videos").iterdir())
+    assert names == ["failures-test-000007.mp4", "test-000007.mp4"]
+
+
 def test_pairs_follow_from_their_number_and_are_recognised(lift, scene, scenes):
     some = make_pairs(lift, scene, 1, "test", [0, 1, 2])
     again = make_pairs(lift, scene, 1, "test", [2, 0])
