@@ -184,7 +184,7 @@ def _bar(axes: Axes, x: float, arm: Arm) -> None:
     if (value := paper_value(arm)) is not None:
         _diamond(axes, x, value / 100)
         top = max(top, value / 100 + 0.02)
-    above = top < 0.66  # else there is no room, and the bar is tall enough to hold it
+    above = top < 0.62  # else there is no room, and the bar is tall enough to hold it
     dark = not above and not arm.lacks
     halo = withStroke(linewidth=2.2, foreground=colour if dark else "white")  # hatching, grid lines
     axes.text(x, top + 0.015 if above else 0.02, text, rotation=90, ha="center", va="bottom",
