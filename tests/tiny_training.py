@@ -36,13 +36,14 @@ def dataset():
     """Four training and two validation demonstrations of noise."""
     rng, count = np.random.default_rng(0), TRAIN + VALID
     poses = np.tile(np.eye(4, dtype=np.float32), (count * CAMERAS, 1, 1))
-    pictures = rng.integers(0, 256, (count * STEPS * CAMERAS, PIXELS, PIXELS, 3), np.uint8)
+    layout = Layout(np.full(count, STEPS), np.full(count, CAMERAS))
+    pictures = rng.integers(0, 256, (layout.total, PIXELS, PIXELS, 3), np.uint8)
 
     def values(size):
         return rng.normal(size=(count, STEPS, size)).astype(np.float32)
 
     return Dataset(
-        frames=Frames(pictures, Layout(np.full(count, STEPS), np.full(count, CAMERAS))),
+        frames=Frames(pictures, layout, np.ones(layout.total, bool)),
         K=np.diag([20.0, 20, 1]).astype(np.float32),
         base_from_camera=poses,
         actions=values(SPEC.action_dim),
