@@ -13,7 +13,6 @@ from jaxcam.findings import Finding, some
 from jaxcam.frames import Frames, is_blank, open_frames
 from jaxcam.overlays import PIXELS, Moment, chosen, draw, draw_over, moments, sheet
 from jaxcam.rays import spherical
-from jaxcam.samples import Layout
 from jaxcam.sim.task import Task
 from jaxcam.sim.world import World
 
@@ -128,7 +127,7 @@ def _compared(
     what: str, path: Path, frames: Frames, demos: Demos, task: Task, scene: World, count: int
 ) -> Finding:
     rows = _some_drawn(frames, count)
-    shown = [_moment(frames.layout, row) for row in rows.tolist()]
+    shown = list(map(Moment, *(part.tolist() for part in frames.layout.where(rows))))
     ours = draw(demos, shown, scene.painter(frames.pictures.shape[1], varied=task.varied))
     theirs = frames.pictures[rows]
     apart = _apart(ours, theirs)
@@ -152,12 +151,6 @@ def _some_drawn(frames: Frames, count: int) -> np.ndarray:
     """Numbers of frames that are drawn, evenly spread."""
     drawn = np.flatnonzero(frames.drawn)
     return drawn[chosen(len(drawn), count)]
-
-
-def _moment(layout: Layout, frame: int) -> Moment:
-    row = int(layout.owner(np.array(frame)))
-    t, camera = divmod(frame - int(layout.first[row]), int(layout.cameras[row]))
-    return Moment(row, t, camera)
 
 
 def _apart(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -45,6 +45,11 @@ class Layout:
         """Index of a frame; `camera` counts within the demonstration's window."""
         return self.first[demo] + t * self.cameras[demo] + camera
 
+    def where(self, frame: np.ndarray) -> Sample:
+        """The inverse of `at`: demonstration, time step and camera of frames."""
+        demo = self.owner(frame)
+        return demo, *np.divmod(frame - self.first[demo], self.cameras[demo])
+
 
 @dataclass(frozen=True)
 class Samples:
