@@ -15,9 +15,9 @@ import sys
 import time
 from pathlib import Path
 
-from jaxcam.plots import comparison, save
-from jaxcam.rundir import append_jsonl, read_jsonl
-from jaxcam.stats import latest_rows, paired_difference, success_rate
+from jaxcam.files.jsonl import append_jsonl, read_jsonl
+from jaxcam.reports.run_figures import comparison, save
+from jaxcam.results.stats import latest_rows, paired_difference, success_rate
 
 KEPT = ("task", "scene", "policy", "conditioning", "seed", "step", "split", "pair", "success",
         "status", "steps", "azimuth_deg", "elevation_deg", "distance", "renderer", "width",

@@ -12,13 +12,13 @@ from pathlib import Path
 import matplotlib.image
 import numpy as np
 
-from jaxcam.collect import run_expert
-from jaxcam.frames import intrinsics
+from jaxcam.data.collection import run_expert
+from jaxcam.data.pictures import intrinsics
 from jaxcam.rays import sample_poses
 from jaxcam.sim import make_task
-from jaxcam.sim.native import NativeEngine
-from jaxcam.sim.render import Renderer, View
-from jaxcam.sim.scene import SCENES
+from jaxcam.sim.mujoco.native import NativeEngine
+from jaxcam.sim.mujoco.render import Renderer, View
+from jaxcam.sim.mujoco.scene import SCENES
 from jaxcam.sim.task import Task, starts
 
 COLUMNS, TILE, GAP = 6, 184, 6

@@ -27,8 +27,8 @@ import numpy as np
 
 from jaxcam.sim import make_task
 from jaxcam.sim.engine import Command, Start, State
-from jaxcam.sim.native import NativeEngine
-from jaxcam.sim.scene import Scene
+from jaxcam.sim.mujoco.native import NativeEngine
+from jaxcam.sim.mujoco.scene import Scene
 from jaxcam.sim.task import starts
 
 WARM_UP_STEPS = 10

@@ -20,9 +20,9 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxcam.frames import intrinsics
+from jaxcam.data.pictures import intrinsics
 from jaxcam.rays import sample_poses
-from jaxcam.rotations import rotvec_from_matrix
+from jaxcam.rays.rotations import rotvec_from_matrix
 from jaxcam.sim import make_task
 from jaxcam.sim.engine import Command, Start, State
 from jaxcam.sim.maniskill import machine

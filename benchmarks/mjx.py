@@ -21,14 +21,14 @@ import jax
 import mujoco
 import numpy as np
 
-from jaxcam.actions import decode, demo_actions, measured
-from jaxcam.demos import read_demos
-from jaxcam.presets import NAMES
-from jaxcam.rotations import rotvec_from_matrix
+from jaxcam.config.presets import NAMES
+from jaxcam.data.demos import read_demos
+from jaxcam.rays.rotations import rotvec_from_matrix
 from jaxcam.sim import make_engine, make_task
+from jaxcam.sim.actions import decode, demo_actions, measured
 from jaxcam.sim.engine import Command, Engine, OpenLoop, Start, State
 from jaxcam.sim.maniskill.task import ManiSkillTask
-from jaxcam.sim.mjx import MjxEngine
+from jaxcam.sim.mujoco.mjx import MjxEngine
 from jaxcam.sim.task import starts
 
 OPEN_LOOP = OpenLoop()

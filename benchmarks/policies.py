@@ -29,12 +29,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxcam.augment import window
-from jaxcam.config import TrainConfig, resolve
+from jaxcam.config.train import TrainConfig
 from jaxcam.models import FAMILIES, Policy, PolicySpec, make_policy
+from jaxcam.models.crops import window
 from jaxcam.models.diffusion import Diffusion
 from jaxcam.models.policy import blank_stats, pure
-from jaxcam.state import init_state, make_optimizer, make_train_chunk
+from jaxcam.runs.identity import resolve
+from jaxcam.training.state import init_state, make_optimizer, make_train_chunk
 
 OBSERVATIONS = 50
 BATCH = 8

@@ -24,9 +24,9 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from jaxcam.plot_style import BLUE, GREY, VERMILION, save, styled
-from jaxcam.protocol import protocol_of
-from jaxcam.rundir import read_jsonl
+from jaxcam.files.jsonl import read_jsonl
+from jaxcam.reports.style import BLUE, GREY, VERMILION, save, styled
+from jaxcam.results.protocol import protocol_of
 
 
 class Sample(NamedTuple):

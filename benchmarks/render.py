@@ -23,11 +23,11 @@ os.environ.setdefault("MUJOCO_GL", "egl")  # mujoco reads it when it is imported
 import mujoco
 import numpy as np
 
-from jaxcam.frames import intrinsics
+from jaxcam.data.pictures import intrinsics
 from jaxcam.rays import sample_poses, to_mujoco
 from jaxcam.sim import make_task
-from jaxcam.sim.render import Renderer, View
-from jaxcam.sim.scene import Scene, build_scene
+from jaxcam.sim.mujoco.render import Renderer, View
+from jaxcam.sim.mujoco.scene import Scene, build_scene
 from jaxcam.sim.task import Task, starts
 
 GL_HELP = """mujoco.Renderer could not start ({error}).

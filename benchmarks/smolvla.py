@@ -22,9 +22,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from jaxcam.config import TrainConfig, resolve
+from jaxcam.config.train import TrainConfig
 from jaxcam.models import Policy, PolicySpec, make_policy, policy_settings
-from jaxcam.state import init_state, make_optimizer, train_step
+from jaxcam.runs.identity import resolve
+from jaxcam.training.state import init_state, make_optimizer, train_step
 
 ACTIONS, PROPRIO, WORDS = 7, 8, 6
 UNUSED = 49280 * 960 + 960

@@ -22,9 +22,9 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxcam.checkpoint import checkpoint_steps
-from jaxcam.manifest import DamagedError, read_all
-from jaxcam.rundir import read_jsonl
+from jaxcam.files.jsonl import read_jsonl
+from jaxcam.training.checkpoint import checkpoint_steps
+from jaxcam.training.digests import DamagedError, read_all
 
 STEPS, SAVE_EVERY = 800, 4
 FLAGS = {

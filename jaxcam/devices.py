@@ -19,7 +19,8 @@ import numpy as np
 from jax.experimental import multihost_utils
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from jaxcam.errors import ConfigError, JaxcamError, print_error
+from jaxcam.console.command import print_error
+from jaxcam.errors import ConfigError, JaxcamError
 
 T = TypeVar("T")
 
@@ -47,7 +48,7 @@ def joined(distributed: bool) -> Iterator[None]:
     if not distributed:
         yield
         return
-    # Its handler would keep SIGTERM from `jaxcam.rundir.interrupts`.
+    # Its handler would keep SIGTERM from `jaxcam.runs.interrupts.interrupts`.
     jax.config.update("jax_enable_preemption_service", False)
     given = {k: kind(os.environ[v]) for k, (v, kind) in _VARIABLES.items() if v in os.environ}
     try:

@@ -5,8 +5,7 @@ fix. Each kind of error has its own exit code, so that scripts can tell them apa
 """
 
 import difflib
-import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import ClassVar
 
 
@@ -67,42 +66,3 @@ def closest(name: str, known: Iterable[str]) -> str:
     near = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5)
     hint = f", did you mean '{lower[near[0]]}'?" if near else "."
     return f"{hint} Known: {', '.join(names)}"
-
-
-def run_main(main: Callable[[], object]) -> None:
-    """Run a command's main function and turn a `JaxcamError` into a message and an exit code.
-
-    Other exceptions are bugs and keep their traceback.
-
-    Args:
-        main: The command, called without arguments.
-
-    Raises:
-        SystemExit: With the error's exit code, or 130 after Ctrl-C.
-    """
-    try:
-        main()
-    except JaxcamError as error:
-        sys.exit(print_error(error))
-    except KeyboardInterrupt:
-        sys.exit(130)
-
-
-def print_error(error: JaxcamError) -> int:
-    """Print an error for people.
-
-    Args:
-        error: What happened.
-
-    Returns:
-        The process's exit code.
-    """
-    from rich.console import Console
-    from rich.panel import Panel
-    from rich.text import Text
-
-    # Text, not str: "[0]" in a message is an index, not rich markup.
-    panel = Panel(Text(str(error)), title=type(error).__name__, title_align="left",
-                  border_style="red")  # fmt: skip
-    Console(stderr=True).print(panel)
-    return error.exit_code

@@ -20,7 +20,7 @@ def lift():
 @pytest.fixture(scope="session")
 def scenes(lift):
     """Both scenes of Lift by name."""
-    from jaxcam.sim.scene import SCENES, build_scene
+    from jaxcam.sim.mujoco.scene import SCENES, build_scene
 
     return {name: build_scene(lift.objects(), name) for name in SCENES}
 
@@ -33,7 +33,7 @@ def scene(scenes):
 @pytest.fixture(scope="session")
 def renderer(lift, scene):
     """A renderer of the randomised scene whose batches are small, so that they get padded."""
-    from jaxcam.sim.render import Renderer
+    from jaxcam.sim.mujoco.render import Renderer
 
     return Renderer(scene, PIXELS, varied=lift.varied, batch=4)
 
@@ -46,15 +46,15 @@ def data_dir(tmp_path_factory):
 @pytest.fixture(scope="session")
 def demos(data_dir):
     """Four training and two validation demonstrations. Do not write to `demos.path`."""
-    from jaxcam.collect import collect
-    from jaxcam.config import CollectConfig
+    from jaxcam.config.datasets import CollectConfig
+    from jaxcam.data.collection import collect
 
     return collect(CollectConfig(**TINY, data_dir=str(data_dir)))
 
 
 @pytest.fixture(scope="session")
 def frames(demos):
-    from jaxcam.frames import load_frames
+    from jaxcam.data.pictures import load_frames
 
     return load_frames(demos, PIXELS)
 

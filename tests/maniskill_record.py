@@ -15,9 +15,9 @@ from mani_skill.utils.geometry.rotation_conversions import matrix_to_euler_angle
 from mani_skill.utils.wrappers import RecordEpisode
 
 import jaxcam.sim.maniskill.envs  # noqa: F401  (registers ours)
-from jaxcam.maniskill_actions import SIZES
-from jaxcam.maniskill_files import ENVIRONMENTS
-from jaxcam.rotations import matrix_from_quaternion, matrix_from_rotvec
+from jaxcam.interop.maniskill_actions import SIZES
+from jaxcam.interop.maniskill_files import ENVIRONMENTS
+from jaxcam.rays.rotations import matrix_from_quaternion, matrix_from_rotvec
 from jaxcam.sim import make_task
 from jaxcam.sim.engine import Start
 from jaxcam.sim.maniskill import kinematics

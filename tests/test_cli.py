@@ -11,10 +11,10 @@ import av
 import pytest
 from conftest import TINY
 
-from jaxcam.config import TrainConfig
+from jaxcam.config.fields import from_json
+from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, JaxcamError
-from jaxcam.fields import from_json
-from jaxcam.train import train
+from jaxcam.pipeline import train
 
 STEPS = 160
 SMALL = {"resolution": 32, "steps": STEPS, "batch": 4, "pairs": 4, "log_every": 2,
@@ -64,12 +64,12 @@ def test_bad_flags_are_told_with_the_closest_name(module, flags, shown):
         assert text in done.stderr + done.stdout
 
 
-def test_evaluating_a_folder_that_is_no_run(tmp_path, monkeypatch):
-    from jaxcam.evaluate import main
+def test_evaluating_a_folder_that_is_no_run(tmp_path):
+    from jaxcam.config.commands import EvaluateConfig
+    from jaxcam.evaluation.run import evaluate_runs
 
-    monkeypatch.setattr(sys, "argv", ["evaluate", str(tmp_path)])
     with pytest.raises(JaxcamError, match=str(tmp_path)):
-        main()
+        evaluate_runs(EvaluateConfig((str(tmp_path),)))
     assert not list(tmp_path.iterdir())
 
 

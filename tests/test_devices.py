@@ -14,8 +14,8 @@ import tiny_training
 
 from jaxcam.devices import data_mesh, gathered, joined, part, stacked
 from jaxcam.errors import ConfigError
-from jaxcam.manifest import read_all
-from jaxcam.rundir import read_jsonl
+from jaxcam.files.jsonl import read_jsonl
+from jaxcam.training.digests import read_all
 
 SCRIPT = Path(tiny_training.__file__)
 

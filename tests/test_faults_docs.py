@@ -21,7 +21,7 @@ def test_every_case_has_a_row_in_order():
 def test_a_case_is_tested_or_does_not_apply(row):
     fault, answer, tests = row[-3:]
     assert fault
-    named = re.findall(r"`(test_\w+\.py)::(test_\w+)`", tests)
+    named = re.findall(r"`([\w/]+\.py)::(test_\w+)`", tests)
     assert len(named) == tests.count("::")
     assert named or "does not apply" in answer
     for file, function in named:

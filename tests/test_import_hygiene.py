@@ -7,7 +7,10 @@ import pytest
 
 OPTIONAL = {"torch", "sapien", "mani_skill", "viser", "submitit", "wandb", "transformers"}
 
-ARRAYS = "import jaxcam.actions, jaxcam.data, jaxcam.models, jaxcam.state, jaxcam.stats"
+ARRAYS = (
+    "import jaxcam.sim.actions, jaxcam.data.batches, jaxcam.models, jaxcam.training.state, "
+    "jaxcam.results.stats"
+)
 SIMULATION = "import jaxcam.collect, jaxcam.evaluate, jaxcam.train, jaxcam.sim.tasks.lift"
 
 
@@ -24,7 +27,7 @@ def loaded(code):
 
 
 def test_settings_and_help_need_no_jax():
-    modules, _ = loaded("import jaxcam.config, jaxcam.train")
+    modules, _ = loaded("import jaxcam.config.train, jaxcam.train")
     assert not modules & {"jax", "mujoco", "flax", "robosuite", "matplotlib", "numpy"}
 
 

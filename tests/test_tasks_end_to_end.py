@@ -9,12 +9,13 @@ import json
 
 import pytest
 
-from jaxcam.actions import ACTION_SPACES
-from jaxcam.config import TrainConfig, resolve
-from jaxcam.presets import NAMES
+from jaxcam.config.presets import NAMES
+from jaxcam.config.train import TrainConfig
+from jaxcam.pipeline import train
+from jaxcam.runs.identity import resolve
 from jaxcam.sim import make_task
+from jaxcam.sim.actions import ACTION_SPACES
 from jaxcam.sim.maniskill.task import ManiSkillTask
-from jaxcam.train import train
 
 USUAL = {
     "pick_place_can": ("fixed", "joint_abs"),

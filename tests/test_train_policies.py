@@ -6,11 +6,11 @@ import json
 import pytest
 from conftest import PIXELS, TINY
 
-from jaxcam.checkpoint import load_policy_inputs
-from jaxcam.config import TrainConfig
+from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
 from jaxcam.models import rebuild_policy
-from jaxcam.train import train
+from jaxcam.pipeline import train
+from jaxcam.training.checkpoint import load_policy_inputs
 
 SMALL = {
     # Two observation steps, DDPM, L2 decay, a moving average that rises.

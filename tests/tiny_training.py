@@ -13,13 +13,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxcam.config import TrainConfig, resolve
-from jaxcam.data import Dataset
-from jaxcam.frames import Frames
-from jaxcam.loop import Trainer
+from jaxcam.config.train import TrainConfig
+from jaxcam.data.batches import Dataset
+from jaxcam.data.pictures import Frames
+from jaxcam.data.samples import Layout
 from jaxcam.models import Policy, PolicySpec
-from jaxcam.rundir import Interrupt, RunDir
-from jaxcam.samples import Layout
+from jaxcam.runs.folder import RunDir
+from jaxcam.runs.identity import resolve
+from jaxcam.runs.interrupts import Interrupt
+from jaxcam.training.loop import Trainer
 
 TRAIN, VALID, STEPS, CAMERAS, PIXELS, CHUNK = 4, 2, 12, 3, 16, 2
 SPEC = PolicySpec(action_dim=2, proprio_dim=3, views=1, height=PIXELS, width=PIXELS, chunk=CHUNK)
@@ -106,7 +108,7 @@ class PairsEvaluator:
         self.ran = []
 
     def pairs(self, split, numbers):
-        from jaxcam.pairs import Pairs
+        from jaxcam.data.pairs import Pairs
         from jaxcam.sim.task import Start
 
         column = np.array(numbers, float)[:, None]
@@ -127,7 +129,7 @@ def scenes(folder):
     """What each of several processes does; process i writes to `folder` only if i is 0."""
     from jaxcam.devices import check_same, data_mesh, is_first, shard
     from jaxcam.errors import ConfigError
-    from jaxcam.evaluate import evaluate
+    from jaxcam.evaluation.run import evaluate
 
     found = {"shard": shard(), "devices": data_mesh(12).size}
     mine = folder if is_first() else folder / "elsewhere"
@@ -152,7 +154,7 @@ def scenes(folder):
 def act_on_all_devices():
     """A batch of rollouts asks the policy once, on four devices, and gets what one gives."""
     from jaxcam.devices import copied, data_mesh
-    from jaxcam.evaluator import _Acting
+    from jaxcam.evaluation.evaluator import _Acting
 
     rng, tiny = np.random.default_rng(0), policy()
     obs = {"image": rng.integers(0, 256, (8, 1, PIXELS, PIXELS, 3), np.uint8),

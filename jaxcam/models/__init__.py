@@ -3,14 +3,14 @@
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from jaxcam.fields import with_overrides
+from jaxcam.config.fields import with_overrides
 from jaxcam.models import act, diffusion, smolvla
 from jaxcam.models.act import ACT_PRESETS, ActConfig
 from jaxcam.models.policy import Batch, Family, Key, Obs, Params, Policy, PolicySpec, Stats
 
 if TYPE_CHECKING:
-    from jaxcam.checkpoint import PolicyInputs
-    from jaxcam.config import TrainConfig
+    from jaxcam.config.train import TrainConfig
+    from jaxcam.training.checkpoint import PolicyInputs
 
 __all__ = [
     "ACT_PRESETS",

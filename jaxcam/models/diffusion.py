@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from flax import nnx
 
-from jaxcam.augment import window
 from jaxcam.errors import ConfigError
+from jaxcam.models.crops import window
 from jaxcam.models.fusion import (
     Vision,
     VisionConfig,

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from jaxcam.config.presets import NAMES
 from jaxcam.errors import ConfigError, closest
-from jaxcam.presets import NAMES
 
 if TYPE_CHECKING:
     from jaxcam.sim.engine import ControllerName, Engine

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxcam.rotations import Array, array_namespace, matrix_from_rotvec
+from jaxcam.rays.rotations import Array, array_namespace, matrix_from_rotvec
 from jaxcam.sim.engine import ControllerName
 
 CONTROL_HZ = 20

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from jaxcam.rotations import Array, array_namespace
+from jaxcam.rays.rotations import Array, array_namespace
 
 if TYPE_CHECKING:
     from jaxcam.sim.world import World

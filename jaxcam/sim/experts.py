@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from jaxcam.rotations import matrix_from_rotvec, rotvec_from_matrix
+from jaxcam.rays.rotations import matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.sim.task import Aim, Sight
 
 OPEN, CLOSE = -1.0, 1.0

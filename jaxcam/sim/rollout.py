@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxcam.actions import averageable, averaged, decode, measured
-from jaxcam.ensemble import ensemble
 from jaxcam.rays import invert
-from jaxcam.rotations import Array, array_namespace
+from jaxcam.rays.rotations import Array, array_namespace
+from jaxcam.sim.actions import averageable, averaged, decode, measured
 from jaxcam.sim.engine import Command, Engine, Play, Progress, Start, State
+from jaxcam.sim.ensemble import ensemble
 from jaxcam.sim.task import Task
 from jaxcam.sim.world import Painter, View, World
 
@@ -73,8 +73,8 @@ def rollout(
         tick: called after every control step.
         obs_steps: observations the policy sees at once, see `PolicySpec`; before the start they are
             the first one.
-        ensembling: rate of temporal ensembling, see `jaxcam.ensemble`: the policy is asked at every
-            step; 0 is off.
+        ensembling: rate of temporal ensembling, see `jaxcam.sim.ensemble`: the policy is asked at
+            every step; 0 is off.
     """
     turn = _turn(renderer, space, execute, obs_steps, ensembling)
     world_from_camera = np.asarray(world_from_camera)

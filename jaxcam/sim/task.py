@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from jaxcam.rays import PoseRanges
-from jaxcam.rotations import Array
+from jaxcam.rays.rotations import Array
 from jaxcam.sim.engine import Start, State
 from jaxcam.sim.world import World
 

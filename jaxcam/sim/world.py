@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
-from jaxcam.rotations import Array, array_namespace
+from jaxcam.rays.rotations import Array, array_namespace
 
 if TYPE_CHECKING:
     from jaxcam.sim.engine import ControllerName, Engine

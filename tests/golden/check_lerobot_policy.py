@@ -41,11 +41,12 @@ def make(folder: Path) -> None:
 
     import jax
 
-    from jaxcam.checkpoint import PolicyInputs
-    from jaxcam.config import TrainConfig, resolve
-    from jaxcam.ensemble import ensemble
-    from jaxcam.lerobot_policy import STATISTICS, export
+    from jaxcam.config.train import TrainConfig
+    from jaxcam.interop.lerobot_policy import STATISTICS, export
     from jaxcam.models import FAMILIES, PolicySpec, make_policy
+    from jaxcam.runs.identity import resolve
+    from jaxcam.sim.ensemble import ensemble
+    from jaxcam.training.checkpoint import PolicyInputs
 
     rng = np.random.default_rng(0)
 

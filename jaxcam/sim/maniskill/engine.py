@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxcam.errors import SimError
-from jaxcam.rotations import matrix_from_quaternion, matrix_from_rotvec
+from jaxcam.rays.rotations import matrix_from_quaternion, matrix_from_rotvec
 from jaxcam.sim.controllers import CONTROL_HZ
 from jaxcam.sim.engine import Command, ControllerName, Engine, Start, State
 from jaxcam.sim.maniskill import kinematics

@@ -26,7 +26,7 @@ from mani_skill.utils.scene_builder.table import scene_builder
 from mani_skill.utils.structs import Pose
 
 from jaxcam.rays import sample_poses, sapien_from_opencv
-from jaxcam.rotations import matrix_from_quaternion, quaternion_from_matrix
+from jaxcam.rays.rotations import matrix_from_quaternion, quaternion_from_matrix
 from jaxcam.sim import make_task
 from jaxcam.sim.engine import Start, State
 from jaxcam.sim.maniskill.memory import FAR, JOINTS, NEAR

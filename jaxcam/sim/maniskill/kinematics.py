@@ -6,7 +6,7 @@ the arm is, and hand these to the joints' drives; so does `inverse`, for a batch
 
 import numpy as np
 
-from jaxcam.rotations import rotvec_from_matrix
+from jaxcam.rays.rotations import rotvec_from_matrix
 
 LIMITS = np.array(
     [[-2.8973, 2.8973], [-1.7628, 1.7628], [-2.8973, 2.8973], [-3.0718, -0.0698],

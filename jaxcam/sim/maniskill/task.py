@@ -10,9 +10,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from jaxcam.config.presets import NAMES
 from jaxcam.errors import ConfigError, closest
-from jaxcam.presets import NAMES
-from jaxcam.rotations import Array, array_namespace, matrix_from_rotvec
+from jaxcam.rays.rotations import Array, array_namespace, matrix_from_rotvec
 from jaxcam.sim.controllers import CONTROL_HZ
 from jaxcam.sim.engine import ControllerName, Engine, Start
 from jaxcam.sim.maniskill.memory import JOINTS

@@ -5,11 +5,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from jaxcam.rotations import Array
+from jaxcam.rays.rotations import Array
 from jaxcam.sim.engine import Start, State
 from jaxcam.sim.experts import CLOSE, OPEN, Hand
-from jaxcam.sim.scene import TABLE_TOP, BoxObject, Scene
-from jaxcam.sim.table import TableTask
+from jaxcam.sim.mujoco.scene import TABLE_TOP, BoxObject, Scene
+from jaxcam.sim.mujoco.table import TableTask
 from jaxcam.sim.task import Aim, Sight
 
 HALF_SIZE = (0.020, 0.022)

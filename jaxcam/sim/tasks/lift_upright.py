@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from jaxcam.rays import POSE_RANGES, PoseRanges
-from jaxcam.rotations import Array, matrix_from_quaternion, matrix_from_rotvec
+from jaxcam.rays.rotations import Array, matrix_from_quaternion, matrix_from_rotvec
 from jaxcam.sim.engine import Start, State
 from jaxcam.sim.experts import CLOSE, OPEN, Hand, pushing_grip
 from jaxcam.sim.maniskill.task import ManiSkillTask, SapienWorld

@@ -5,11 +5,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from jaxcam.rotations import Array, array_namespace
+from jaxcam.rays.rotations import Array, array_namespace
 from jaxcam.sim.engine import Start, State
 from jaxcam.sim.experts import CLOSE, OPEN, Hand, easy_grip, funnel
-from jaxcam.sim.scene import TABLE_TOP, CanObject, CanVisualObject, Scene, prism
-from jaxcam.sim.table import TableTask
+from jaxcam.sim.mujoco.scene import TABLE_TOP, CanObject, CanVisualObject, Scene, prism
+from jaxcam.sim.mujoco.table import TableTask
 from jaxcam.sim.task import Aim, Sight
 
 RADIUS, HALF_HEIGHT = 0.026, 0.040

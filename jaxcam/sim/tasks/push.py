@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from jaxcam.rays import POSE_RANGES, PoseRanges
-from jaxcam.rotations import Array
+from jaxcam.rays.rotations import Array
 from jaxcam.sim.engine import Start, State
 from jaxcam.sim.experts import CLOSE, Hand, pushing_grip
 from jaxcam.sim.maniskill.task import ManiSkillTask, SapienWorld, goal_pose, is_over_goal

@@ -5,11 +5,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from jaxcam.rotations import Array, array_namespace, matrix_from_rotvec
+from jaxcam.rays.rotations import Array, array_namespace, matrix_from_rotvec
 from jaxcam.sim.engine import Start, State
 from jaxcam.sim.experts import CLOSE, OPEN, Hand, easy_grip, funnel
-from jaxcam.sim.scene import TABLE_TOP, CompositeObject, Scene, SquareNutObject
-from jaxcam.sim.table import TableTask
+from jaxcam.sim.mujoco.scene import TABLE_TOP, CompositeObject, Scene, SquareNutObject
+from jaxcam.sim.mujoco.table import TableTask
 from jaxcam.sim.task import Aim, Sight
 
 NUT_HALF_HEIGHT, HANDLE = 0.010, 0.054

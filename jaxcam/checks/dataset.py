@@ -1,0 +1,173 @@
+"""What is wrong with a dataset, and what is worth knowing of it."""
+
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from jaxcam.checks.cameras import check_cameras, check_poses
+from jaxcam.checks.findings import Finding, some
+from jaxcam.checks.held_out import check_field_of_view, check_held_out, check_ranges
+from jaxcam.checks.numbers import (
+    check_commands,
+    check_constants,
+    check_gripper,
+    check_lengths,
+    check_rate,
+)
+from jaxcam.checks.overlays import chosen
+from jaxcam.console.progress import progress
+from jaxcam.data.demos import Demo, Demos, faults_of, read_demos
+from jaxcam.data.replay import GATE, replay_all
+from jaxcam.errors import DatasetError
+from jaxcam.sim import make_engine
+from jaxcam.sim.actions import ACTION_SPACES
+from jaxcam.sim.engine import Start
+from jaxcam.sim.task import Task
+from jaxcam.sim.world import World
+
+APART = 1e-3
+"""Distance (m) up to which the recorded grip is where the recorded joints put it."""
+LISTED = 10
+"""Demonstrations that are told one by one of those that cannot be used."""
+REPLAY_FIX = """Commands, gripper sign, object poses or the task are not what was recorded; \
+python -m jaxcam.replay tells of every demonstration."""
+GRIPPER_TURNED = np.array([1, 1, 1, 1, 1, 1, -1])
+"""What an action is multiplied by to open where it closed."""
+
+
+def read(path: Path) -> tuple[Demos | None, list[Finding]]:
+    """Reads a file; all that is wrong with its demonstrations, if it cannot be used."""
+    try:
+        demos = read_demos(path)
+    except DatasetError as error:
+        errors = [error]
+        try:
+            errors = faults_of(path) or errors
+        except DatasetError as whole:
+            errors = [whole]
+        listed = [Finding("file", "bad", str(e)) for e in errors[:LISTED]]
+        if (rest := len(errors) - LISTED) > 0:
+            listed.append(Finding("file", "bad", f"and {rest} more such"))
+        return None, listed
+    header = demos.header
+    got = (
+        f"{len(demos.train)} training and {len(demos.valid)} validation demonstrations of "
+        f"{header.task}, {header.scene}; content {demos.fingerprint}"
+    )
+    return demos, [Finding("file", "good", got)]
+
+
+def check_content(demos: Demos, scene: World) -> Iterator[Finding]:
+    """What can be told without a simulator."""
+    yield _sizes(demos, scene)
+    yield _duplicates(demos)
+    yield check_held_out(demos)
+    poses = check_poses(demos)
+    yield poses
+    if poses.mark == "good":
+        yield check_cameras(demos)
+        yield check_ranges(demos)
+    yield check_field_of_view(demos)
+    every = demos.train + demos.valid
+    for check in (check_lengths, check_commands, check_gripper, check_constants, check_rate):
+        yield check(every)
+
+
+def check_physics(
+    demos: Demos, task: Task, scene: World, count: int, console: Console | None = None
+) -> Iterator[Finding]:
+    """What a simulator tells of some demonstrations; it must be there.
+
+    Args:
+        demos: the dataset.
+        task: of the demonstrations.
+        scene: of the demonstrations.
+        count: demonstrations that are replayed.
+        console: for progress; silent when None.
+    """
+    every = demos.train + demos.valid
+    rows = chosen(len(every), count)
+    some_demos = [every[i] for i in rows]
+    yield _grip(some_demos, rows, task, scene)
+    with progress(console, "replaying", len(rows) * len(ACTION_SPACES)) as advance:
+        found = replay_all(some_demos, task, scene, tick=advance)
+    fix = REPLAY_FIX
+    if not found["eef_abs"].any():
+        turned = [replace(d, actions=d.actions * GRIPPER_TURNED) for d in some_demos]
+        if replay_all(turned, task, scene, ["eef_abs"])["eef_abs"].all():
+            fix = "Likely cause: the gripper's sign is turned round. Positive closes."
+    for space, success in found.items():
+        failed = [f"demo_{i}" for i in rows[~success]]
+        good = success.mean() >= GATE
+        yield Finding(
+            f"replay, {space}",
+            "good" if good else "bad",
+            f"{success.sum()} of {len(rows)} succeed",
+            "" if good else f"at least {GATE:.0%}",
+            some(failed),
+            "" if good else fix,
+        )
+
+
+def _sizes(demos: Demos, scene: World) -> Finding:
+    """Whether states are of this scene as it is built here."""
+    header = demos.header
+    if (header.nq, header.nv) == (scene.nq, scene.nv):
+        return Finding("states", "good", f"{header.nq} positions and {header.nv} velocities")
+    return Finding(
+        "states",
+        "bad",
+        f"{header.nq} positions and {header.nv} velocities",
+        f"{scene.nq} and {scene.nv}, as {header.task} has here",
+        fix=f"The simulator's models changed since; it was made with {header.versions}.",
+    )
+
+
+def _duplicates(demos: Demos) -> Finding:
+    """Whether a demonstration is there twice."""
+    every = demos.train + demos.valid
+    same = [*_twins(every, lambda d: d.states.tobytes() + d.actions.tobytes())]
+    seeds = [*_twins(every, lambda d: str(d.seed).encode())]
+    if not same and not seeds:
+        return Finding("duplicates", "good", f"all {len(every)} demonstrations differ")
+    train = len(demos.train)
+    leaks = [pair for pair in same if min(pair) < train <= max(pair)]
+    got = f"{len(same)} are copies of earlier ones"
+    if leaks:
+        got += f", {len(leaks)} of them validation copies of training"
+    if len(seeds) > len(same):
+        got += f"; {len(seeds) - len(same)} more share an episode's seed"
+    pairs = [f"demo_{i} = demo_{k}" for i, k in same or seeds]
+    mark = "bad" if same else "note"
+    return Finding("duplicates", mark, got, "none", some(pairs), "Leave the copies out.")
+
+
+def _twins(every: Sequence[Demo], key: Callable[[Demo], bytes]) -> Iterator[tuple[int, int]]:
+    """Each demonstration whose key an earlier one has, after that."""
+    first: dict[bytes, int] = {}
+    for i, demo in enumerate(every):
+        digest = hashlib.sha256(key(demo)).digest()
+        if first.setdefault(digest, i) != i:
+            yield first[digest], i
+
+
+def _grip(demos: Sequence[Demo], rows: np.ndarray, task: Task, scene: World) -> Finding:
+    """Whether the recorded grip is where the simulator has it for the recorded joints."""
+    start = Start(
+        qpos=np.stack([d.states[0, 1 : 1 + scene.nq] for d in demos]),
+        geom_size=np.stack([d.geom_size for d in demos]),
+        fixtures=np.stack([d.fixtures for d in demos]),
+    )
+    engine = make_engine(scene.engines[0], scene, "osc_pose", task.varied)
+    there = np.asarray(engine.reset(start).grip_position)
+    apart = np.linalg.norm(there - [d.eef_pos[0] for d in demos], axis=-1)
+    got = f"within {apart.max() * 1000:.2g} mm of where the joints put it"
+    if apart.max() <= APART:
+        return Finding("grip", "good", got)
+    where = some([f"demo_{i}" for i in rows[apart > APART]])
+    fix = "obs/robot0_eef_pos is the grip site in the world, in metres; states are of this robot."
+    return Finding("grip", "bad", got, f"within {APART * 1000:g} mm", where, fix)

@@ -1,0 +1,109 @@
+"""Whether a policy would be evaluated on what is like its dataset, and on nothing that is in it."""
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from jaxcam.checks.findings import Finding, some
+from jaxcam.data.demos import Demos
+from jaxcam.data.pairs import SPLITS
+from jaxcam.rays import sample_poses, spherical
+from jaxcam.sim import make_task
+
+HELD_OUT = 1000
+"""Cameras of the evaluation that a dataset's are compared with."""
+SAME = 1e-3
+"""Difference (m, and of axes) below which two cameras are one."""
+SLACK = 0.01
+"""Distance (m) and angle (rad) by which a camera may leave the task's ranges."""
+
+
+def check_held_out(demos: Demos) -> Finding:
+    """Whether a policy would be evaluated on cameras or episodes that it was trained on."""
+    header, what = demos.header, "held-out pairs"
+    trained = np.asarray(header.world_from_camera)
+    tree = KDTree(_flat(trained))
+    ranges = make_task(header.task).cameras
+    shared = [
+        f"{(tree.query(_flat(sample_poses(ranges, HELD_OUT, seed)))[0] < SAME).sum()} of {split}"
+        for split, (_, seed) in SPLITS.items()
+    ]
+    first, last = min(s for s, _ in SPLITS.values()), max(s for s, _ in SPLITS.values())
+    seeds = [d.seed for d in demos.train + demos.valid]
+    taken = [seed for seed in seeds if first <= seed < 2 * last - first]
+    if all(told.startswith("0 ") for told in shared) and not taken:
+        return Finding(what, "good", "no camera and no episode of the evaluation is in the dataset")
+    return Finding(
+        what,
+        "bad",
+        f"cameras of the evaluation that are in the dataset: {', '.join(shared)}; episode seeds "
+        f"of the evaluation: {some(taken) or 'none'}",
+        "none",
+        fix="Success on what was trained on says nothing: draw other cameras or episodes.",
+    )
+
+
+def check_field_of_view(demos: Demos) -> Finding:
+    """Whether the field of view is that of the cameras a policy will be evaluated with."""
+    task = make_task(demos.header.task)
+    got, expected = demos.header.fovy_deg, task.fovy_deg
+    if np.isclose(got, expected, atol=1e-3):
+        return Finding("field of view", "good", f"{got:g}° up and down, as the task's cameras")
+    hint = " It looks like radians." if np.isclose(np.rad2deg(got), expected, rtol=0.01) else ""
+    return Finding(
+        "field of view",
+        "bad",
+        f"{got:g}°",
+        f"{expected:g}°, of the cameras that policies are evaluated with",
+        "fovy_deg",
+        f"Intrinsics follow from it: store the cameras' own.{hint}",
+    )
+
+
+def check_ranges(demos: Demos) -> Finding:
+    """Whether cameras are drawn from where those of the evaluation are."""
+    ranges, what = make_task(demos.header.task).cameras, "camera ranges"
+    poses, centre = np.asarray(demos.header.world_from_camera), np.array(ranges.centre)
+    azimuth, elevation, distance = spherical(poses, centre)
+    near = [_within(azimuth + turn, pair) for pair in ranges.azimuth for turn in (0, 2 * np.pi)]
+    # The point of the optical axis that is nearest to the middle of what the cameras look at.
+    box = centre[:, None] + np.array(ranges.look_at)
+    towards, forward = box.mean(1) - poses[:, :3, 3], poses[:, :3, 2]
+    along = np.sum(towards * forward, -1, keepdims=True)
+    aside = np.linalg.norm(towards - along * forward, axis=-1)
+    alike = (
+        np.any(near, 0)
+        & _within(elevation, ranges.elevation)
+        & _within(distance, ranges.distance)
+        & (aside <= np.linalg.norm(np.ptp(box, 1)) / 2 + SLACK)
+    )
+    got = f"{alike.sum()} of {len(poses)} are such as the evaluation draws"
+    if alike.all():
+        return Finding(what, "good", got)
+    where = some(np.flatnonzero(~alike).tolist())
+    return Finding(
+        what,
+        "note",
+        got,
+        "all",
+        where,
+        "Policies are evaluated from elsewhere than they learned, unless that is meant.",
+    )
+
+
+def camera_numbers(demos: Demos) -> dict[str, np.ndarray]:
+    """Distances, azimuths and elevations of the cameras about the middle of the task, by name."""
+    centre = np.array(make_task(demos.header.task).cameras.centre)
+    azimuth, elevation, distance = spherical(demos.header.world_from_camera, centre)
+    return {
+        "camera distance (m)": distance,
+        "camera azimuth (°)": np.rad2deg(azimuth),
+        "camera elevation (°)": np.rad2deg(elevation),
+    }
+
+
+def _within(values: np.ndarray, pair: tuple[float, float]) -> np.ndarray:
+    return (values >= pair[0] - SLACK) & (values <= pair[1] + SLACK)
+
+
+def _flat(poses: np.ndarray) -> np.ndarray:
+    return np.asarray(poses, np.float64)[:, :3].reshape(-1, 12)

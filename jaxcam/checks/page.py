@@ -1,0 +1,111 @@
+"""What a check tells, and its page: one HTML file with everything inside."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import cv2
+import numpy as np
+from matplotlib.figure import Figure
+
+from jaxcam.checks.findings import Finding, named
+from jaxcam.data.demos import Demos
+from jaxcam.files.jsonl import write_atomically
+from jaxcam.reports import html as page
+from jaxcam.reports.camera_figures import camera_poses
+from jaxcam.reports.style import BLUE, GREY, panels, save, styled
+from jaxcam.sim.task import Task
+
+
+@dataclass(frozen=True)
+class Report:
+    """All that a check has to tell."""
+
+    title: str
+    subtitle: str
+    findings: Sequence[Finding]
+    numbers: Sequence[Sequence[str]] = ()
+    """Quantity, least, middle, largest."""
+    figures: dict[str, Figure] = field(default_factory=dict)
+    """By what they show."""
+    overlays: np.ndarray | None = None
+    """Sheet of pictures, uint8 RGB."""
+
+
+def write_page(report: Report, path: Path) -> Path:
+    """Writes a report as one HTML file that loads nothing, and its overlays as PNG beside it."""
+    with TemporaryDirectory() as folder:
+        drawn = [
+            page.picture(save(figure, Path(folder) / f"{i}.png"), caption, wide=True)
+            for i, (caption, figure) in enumerate(report.figures.items())
+        ]
+    seen = ""
+    if report.overlays is not None:
+        file = write_png(path.with_suffix(".png"), report.overlays)
+        caption = (
+            "What cameras see, with the axes of grip and table (x red, y green, z blue) and the "
+            "way of the grip (yellow) drawn where the cameras' numbers have them."
+        )
+        seen = page.pictures([page.picture(file, caption, wide=True)])
+    bad, notes = (
+        "".join(tell(_in_words(f)) for f in report.findings if f.mark == mark)
+        for mark, tell in (("bad", page.notice), ("note", page.text))
+    )
+    rows = [(f.mark, named(f), f.got) for f in report.findings]
+    sections = (
+        page.section("To mend", bad),
+        page.section("To know", page.card(notes) if notes else ""),
+        page.section("Findings", page.card(page.table(("", "what", "found"), rows))),
+        page.section("Pictures", seen),
+        page.section("Figures", page.pictures(drawn)),
+        page.section("Numbers", _numbers(report.numbers)),
+    )
+    write_atomically(path, page.page(report.title, report.subtitle, sections))
+    return path
+
+
+def write_png(path: Path, picture: np.ndarray) -> Path:
+    """Writes a picture, uint8 RGB, as small as PNG can."""
+    settings = [cv2.IMWRITE_PNG_COMPRESSION, 9]
+    cv2.imwrite(str(path), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), settings)
+    return path
+
+
+def draw_figures(demos: Demos, task: Task) -> dict[str, Figure]:
+    """Figures of a dataset by what they show."""
+    used = np.unique(np.concatenate([d.cameras for d in demos.train]))
+    held = np.unique(np.concatenate([d.cameras for d in demos.valid] or [np.empty(0, int)]))
+    poses = demos.header.world_from_camera
+    return {
+        "Lengths of the demonstrations, and the ways of the grip from above.": _ways(demos),
+        "Cameras of the training demonstrations and of the validation ones (held out).": (
+            camera_poses(poses[used], poses[held], task.cameras.centre)
+        ),
+    }
+
+
+@styled
+def _ways(demos: Demos) -> Figure:
+    every = demos.train + demos.valid
+    figure, (lengths, above) = panels((8.2, 3.6), columns=2)
+    lengths.hist([d.length for d in every], bins=24, color=BLUE)
+    lengths.set(xlabel="control steps", ylabel="demonstrations", title="Lengths")
+    for demo in every:
+        above.plot(demo.eef_pos[:, 0], demo.eef_pos[:, 1], color=BLUE, linewidth=0.6, alpha=0.3)
+    starts = np.stack([d.eef_pos[0, :2] for d in every])
+    above.plot(*starts.T, "o", color=GREY, markersize=3, label="start")
+    above.set_aspect("equal")
+    above.set(xlabel="x (m)", ylabel="y (m)", title="Ways of the grip")
+    above.legend()
+    return figure
+
+
+def _in_words(finding: Finding) -> str:
+    expected = f" (expected: {finding.expected})" if finding.expected else ""
+    return f"{named(finding)}: {finding.got}{expected}. {finding.fix}"
+
+
+def _numbers(rows: Sequence[Sequence[str]]) -> str:
+    head = ("quantity", "least", "median", "largest")
+    return page.card(page.table(head, rows)) if rows else ""

@@ -1,0 +1,145 @@
+"""Settings of commands around training: evaluate, report, check, weights. Help needs no JAX."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+from jaxcam.config.fields import check_least, check_names, check_types, default, one_of
+from jaxcam.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class EvaluateConfig:
+    """Evaluate runs on held-out initial states and camera poses; what has a row is not run again.
+
+    The same command run again goes on with what is missing.
+    """
+
+    run: tyro.conf.Positional[tuple[str, ...]]
+    """Folders of runs."""
+    protocol: Annotated[str, one_of("protocol")] = "one"
+    """one is a single checkpoint; paper is the last 10 checkpoints on 50 pairs each (3 seeds are 3
+    runs)."""
+    step: Annotated[int | None, tyro.conf.arg(metavar="INT"), default("newest whole one")] = None
+    """Checkpoint to evaluate."""
+    pairs: int = 50
+    """(Initial state, camera pose) pairs."""
+    split: Annotated[str, one_of("split")] = "test"
+    """Which pairs: those kept for results, or those for choosing settings."""
+    width: int = 50
+    """Rollouts simulated at once; rows of different widths are not mixed."""
+    engine: Annotated[str, one_of("engine")] = "auto"
+    """Physics; auto is mjx-warp on an accelerator and native without, and for the tasks of
+    ManiSkill sapien-gpu on an NVIDIA card and sapien without. Rows of different engines are not
+    mixed."""
+    ensemble: Annotated[float | None, tyro.conf.arg(metavar="FLOAT"), default("as in training")] = (
+        None
+    )
+    """Rate of temporal ensembling, 0 is off. Rows of different rates are not mixed."""
+    videos: int = 16
+    """Rollouts shown in each of two videos, of the first pairs and of failures; 0 is none."""
+    distributed: bool = False
+    """Be one of several processes that share the rollouts; they find each other as those of
+    `jaxcam.train --distributed` do."""
+
+    def __post_init__(self) -> None:
+        check_types(self)
+        check_names(self)
+        check_least(self, 1, "pairs width")
+        check_least(self, 0, "step videos")
+        check_least(self, -1, "ensemble")
+        if not self.run:
+            raise ConfigError("No run is given. Name one run folder or several.")
+        if self.protocol == "paper" and (self.step is not None or self.pairs != 50):
+            raise ConfigError("protocol paper has its own checkpoints and 50 pairs: leave out "
+                              "--step and --pairs.")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ReportConfig:
+    """Compare runs with each other and with the paper: tables, figures and one HTML page."""
+
+    runs: tyro.conf.Positional[tuple[str, ...]]
+    """Run folders, folders of runs, or folders that this command wrote."""
+    out: str = "report"
+    """Folder to write."""
+    split: Annotated[str, one_of("split")] = "test"
+    """Which pairs: those kept for results, or those for choosing settings."""
+
+    def __post_init__(self) -> None:
+        check_types(self)
+        check_names(self)
+
+
+@dataclass(frozen=True)
+class CheckConfig:
+    """Look for what is wrong with a dataset, a run or this machine; exit code 1 if anything is."""
+
+    target: tyro.conf.Positional[str] = ""
+    """A dataset (also a file of robomimic's or ManiSkill's, as it would be imported) or a run's
+    folder."""
+    env: bool = False
+    """Check this machine: packages, accelerator, folders, Vulkan device, ManiSkill."""
+    episodes: int = 8
+    """Demonstrations that are replayed, drawn, and compared with cached pictures."""
+    out: Annotated[str, default("beside what is checked")] = ""
+    """HTML page to write."""
+
+    def __post_init__(self) -> None:
+        check_types(self)
+        check_least(self, 0, "episodes")
+        if self.env and self.target:
+            raise ConfigError("Give --env or something to check, not both.")
+        if not (self.env or self.target):
+            raise ConfigError("Nothing to check. Name a dataset or a run's folder, or give --env.")
+
+
+@dataclass(frozen=True)
+class SweepConfig:
+    """Train and evaluate all runs of a grid; what is done is skipped, what was stopped goes on."""
+
+    grid: tyro.conf.Positional[str]
+    """YAML file; grids/ has one for every table and figure of the paper."""
+    jobs: int = 1
+    """Runs at once."""
+    cluster: Annotated[str, one_of("cluster")] = "none"
+    """Where runs go: none is this machine; slurm goes through submitit (extra `sweep`), and local
+    does so on this machine, to try it."""
+    retries: int = 3
+    """Times that a run is started again that was killed or preempted."""
+    list: bool = False
+    """Print the runs, how far they are and their commands, and start nothing."""
+
+    def __post_init__(self) -> None:
+        check_types(self)
+        check_names(self)
+        check_least(self, 1, "jobs")
+        check_least(self, 0, "retries")
+
+
+@dataclass(frozen=True)
+class WeightsConfig:
+    """Look at a file of weights, or carry a policy to or from a LeRobot checkpoint."""
+
+    source: tyro.conf.Positional[str]
+    """A .safetensors, .pt or .pth file to look at; or a folder: of a run, with --export, or of a
+    LeRobot checkpoint, with --run-dir."""
+    export: str = ""
+    """Folder to write the run's policy to, as a LeRobot checkpoint."""
+    step: Annotated[int | None, tyro.conf.arg(metavar="INT"), default("newest whole one")] = None
+    """The run's checkpoint to export."""
+    run_dir: str = ""
+    """Folder of a run to make of the LeRobot checkpoint, for `python -m jaxcam.evaluate`."""
+    task: Annotated[str, one_of("task")] = "lift"
+    """What that policy was trained to do."""
+    scene: Annotated[str, one_of("scene")] = "randomized"
+    """In which scene."""
+    action_space: Annotated[str, one_of("action_space")] = "eef_delta"
+    """What its actions mean."""
+
+    def __post_init__(self) -> None:
+        check_types(self)
+        check_names(self)
+        if self.export and self.run_dir:
+            raise ConfigError("Give --export or --run-dir, not both.")

@@ -1,0 +1,136 @@
+"""Settings of the commands that make datasets, replay them or carry them to other formats."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+from jaxcam.config.fields import (
+    PRESET,
+    FromPreset,
+    check_least,
+    check_names,
+    check_types,
+    check_window,
+    default,
+    one_of,
+)
+from jaxcam.config.train import TrainConfig
+from jaxcam.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class CollectConfig:
+    """Collect demonstrations of the scripted expert: states, commands and camera poses."""
+
+    task: Annotated[str, one_of("task")] = "lift"
+    """What the robot has to do."""
+    scene: Annotated[str, one_of("scene")] = "randomized"
+    """Whether robot and table stand still or move from episode to episode."""
+    demos: int = 200
+    """Training demonstrations."""
+    validation: int = 10
+    """Validation demonstrations."""
+    n: Annotated[FromPreset[int], default("the task's")] = PRESET
+    """Cameras a demonstration is seen from."""
+    m: Annotated[FromPreset[int], default("the task's")] = PRESET
+    """Cameras by which that window moves from one demonstration to the next."""
+    seed: int = 0
+    """Seed of the initial states and of the expert."""
+    data_dir: str = "data"
+    """Folder of the datasets."""
+
+    def __post_init__(self) -> None:
+        check_types(self)
+        check_names(self)
+        check_least(self, 1, "demos n")
+        check_least(self, 0, "validation m seed")
+        check_window(self.n, self.m)
+
+
+@dataclass(frozen=True)
+class ReplayConfig:
+    """Replay demonstrations in each action space and count how many succeed."""
+
+    dataset: tyro.conf.Positional[str]
+    """HDF5 file of demonstrations; one of ManiSkill's is imported first (`jaxcam.maniskill`)."""
+    action_space: Annotated[tuple[str, ...], one_of("action_space")] = ()
+    """Action spaces to replay in; the paper's four unless given."""
+    engine: Annotated[str, one_of("engine")] = "auto"
+    """What steps the physics."""
+
+    def __post_init__(self) -> None:
+        check_types(self)
+        check_names(self)
+
+
+@dataclass(frozen=True)
+class ImportConfig:
+    """Import demonstrations of others by their states."""
+
+    file: tyro.conf.Positional[str]
+    """File to import."""
+    out: Annotated[
+        str | None, tyro.conf.arg(metavar="STR"), default("data/TASK-SCENE-FILE.hdf5")
+    ] = None
+    """Dataset to write; train on it with `python -m jaxcam.train --dataset`."""
+    scene: Annotated[str, one_of("scene")] = "randomized"
+    """Whether the table and the room that are seen stand still or move from episode to episode."""
+    validation: Annotated[
+        int | None, tyro.conf.arg(metavar="INT"), default("every tenth, or as the file says")
+    ] = None
+    """Validation demonstrations, the last ones."""
+    n: Annotated[FromPreset[int], default("the task's")] = PRESET
+    """Cameras a demonstration is seen from."""
+    m: Annotated[FromPreset[int], default("the task's")] = PRESET
+    """Cameras by which that window moves from one demonstration to the next."""
+
+    def __post_init__(self) -> None:
+        check_types(self)
+        check_names(self)
+        check_least(self, 1, "n")
+        check_least(self, 0, "validation m")
+        check_window(self.n, self.m)
+
+
+@dataclass(frozen=True)
+class RobomimicConfig(ImportConfig):
+    """Import robomimic's demonstrations of robosuite, an HDF5 file, by replaying their states."""
+
+    task: Annotated[str, one_of("task")] = "lift"
+    """What the robot has to do."""
+    actions: Annotated[str, one_of("actions")] = "commands"
+    """Where commands come from: the file's own OSC_POSE actions, or the poses that its states
+    reach, which every file has."""
+    filter_key: Annotated[str | None, tyro.conf.arg(metavar="STR"), default("every one")] = None
+    """Import only the demonstrations of this entry of the file's `mask`."""
+
+
+@dataclass(frozen=True)
+class ManiskillConfig(ImportConfig):
+    """Import ManiSkill's trajectories, HDF5 with JSON beside it, and replay them in each space."""
+
+
+@dataclass(frozen=True)
+class LerobotConfig:
+    """Export a dataset in LeRobot's v3 format: Parquet, MP4 and metadata with the cameras."""
+
+    dataset: tyro.conf.Positional[str]
+    """HDF5 file of demonstrations."""
+    out: tyro.conf.Positional[str]
+    """Folder to write."""
+    resolution: int = 256
+    """Image side in pixels, an even number; 84 shares the laptop preset's pictures."""
+    action_space: Annotated[str, one_of("action_space")] = TrainConfig.action_space
+    """What the actions mean."""
+    instruction: Annotated[str | None, tyro.conf.arg(metavar="STR"), default("the task")] = None
+    """The task in words, for policies that read."""
+    validation: bool = False
+    """Export the validation demonstrations, seen by one held-out camera each."""
+
+    def __post_init__(self) -> None:
+        check_types(self)
+        check_names(self)
+        check_least(self, 16, "resolution")
+        if self.resolution % 2:
+            raise ConfigError(f"resolution must be even for video, got {self.resolution}.")

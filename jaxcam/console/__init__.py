@@ -1,0 +1,1 @@
+"""The terminal: how commands start, how errors and progress are shown."""

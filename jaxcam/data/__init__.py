@@ -1,0 +1,1 @@
+"""What policies learn from: demonstrations on disk, their pictures, samples and batches."""

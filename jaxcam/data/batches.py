@@ -1,0 +1,204 @@
+"""Training batches as a pure function of (seed, step, shard), and the statistics of normalisation.
+
+No iterator holds state: `Samples.index(seed, step)` names the samples of a step and a shard is a
+stretch of them, so a resumed run, another prefetch depth or other machines see the same batches.
+"""
+
+from collections.abc import Generator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from jaxcam.data.demos import Demo, Demos
+from jaxcam.data.pictures import Frames, intrinsics
+from jaxcam.data.samples import Samples, history
+from jaxcam.rays import invert
+from jaxcam.sim.actions import demo_actions
+from jaxcam.sim.world import World
+
+Batch = dict[str, Any]
+"""NumPy arrays by name, first axis the samples."""
+
+PREFETCH = 4
+"""Calls' worth of batches made ready ahead by a thread."""
+STD_FLOOR = 1e-4
+"""Least standard deviation that actions and proprioception are divided by (authors' code)."""
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Demonstrations as the arrays that batches are cut from."""
+
+    frames: Frames = field(repr=False)
+    K: np.ndarray
+    """Intrinsics of every picture [3, 3]."""
+    base_from_camera: np.ndarray = field(repr=False)
+    """All cameras in the robot's base frame [N, 4, 4]."""
+    actions: np.ndarray = field(repr=False)
+    """Actions of every demonstration, zeros past its end [D, T, A]."""
+    keyframes: np.ndarray = field(repr=False)
+    """Where the grip is when its command next changes (base frame, m), per action [D, T, 3]."""
+    proprio: np.ndarray = field(repr=False)
+    """What the robot feels before each action (`World.proprio`) [D, T, P]."""
+    windows: list[np.ndarray] = field(repr=False)
+    """Cameras that see each demonstration."""
+    train: int
+    """Number of training demonstrations; the rest are for validation."""
+    fingerprint: str
+    """Of the demonstrations and the pictures."""
+
+    @property
+    def lengths(self) -> np.ndarray:
+        """Control steps of each demonstration [D]."""
+        return self.frames.layout.lengths
+
+    @property
+    def samples(self) -> Samples:
+        """Which of its samples a run takes."""
+        return Samples(self.frames.layout, self.train)
+
+    def stats(self) -> dict[str, np.ndarray]:
+        """Statistics of the training demonstrations, float32; population std as the authors'."""
+        real = np.arange(self.actions.shape[1]) < self.lengths[: self.train, None]
+        stats = {}
+        for name, values in (
+            ("action", self.actions[: self.train][real]),
+            ("keyframe", self.keyframes[: self.train][real]),
+            ("proprio", self.proprio[: self.train][real]),
+        ):
+            stats[f"{name}_mean"] = values.mean(0)
+            stats[f"{name}_std"] = np.maximum(values.std(0), STD_FLOOR)
+            stats[f"{name}_min"], stats[f"{name}_max"] = values.min(0), values.max(0)
+        return {k: v.astype(np.float32) for k, v in stats.items()}
+
+    def batch(
+        self, demo: np.ndarray, t: np.ndarray, views: np.ndarray, chunk: int, obs_steps: int = 1
+    ) -> Batch:
+        """The samples of step `t` [B] of `demo` [B], seen by cameras `views` [B, V].
+
+        With more than one observation step S, observations are of the S steps up to `t`, as a
+        second axis (the first one repeated before the start), and chunks begin at the oldest.
+        """
+        steps = t[:, None] + np.arange(chunk) - (obs_steps - 1)
+        is_pad = (steps < 0) | (steps >= self.lengths[demo][:, None])
+        where = demo[:, None], np.clip(steps, 0, self.actions.shape[1] - 1)
+        seen = history(t, obs_steps)
+        rows = self.frames.layout.at(demo[:, None, None], seen[..., None], views[:, None])
+        cameras = np.stack([self.windows[d][v] for d, v in zip(demo, views, strict=True)])
+        poses = np.broadcast_to(self.base_from_camera[cameras][:, None], (*rows.shape, 4, 4))
+        observed = {
+            "image": self.frames.pictures[rows],
+            "K": np.broadcast_to(self.K, (*rows.shape, 3, 3)).astype(np.float32),
+            "base_from_camera": poses,
+            "proprio": self.proprio[demo[:, None], seen],
+        }
+        if obs_steps == 1:
+            observed = {name: values[:, 0] for name, values in observed.items()}
+        return {
+            **observed,
+            "action": np.where(is_pad[..., None], 0, self.actions[where]),
+            "keyframe": np.where(is_pad[..., None], 0, self.keyframes[where]),
+            "is_pad": is_pad,
+        }
+
+    def validation(self, chunk: int, views: int, obs_steps: int = 1, per_demo: int = 16) -> Batch:
+        """A fixed batch: evenly spaced steps of every validation demonstration."""
+        return self.batch(*self.samples.validation(views, per_demo), chunk, obs_steps)
+
+
+def make_dataset(
+    demos: Demos,
+    frames: Frames,
+    space: str,
+    scene: World,
+) -> Dataset:
+    """Turns demonstrations into arrays, their commands into actions of a space.
+
+    Args:
+        demos: the dataset.
+        frames: its pictures.
+        space: of the actions.
+        scene: where the demonstrations were given.
+    """
+    every = demos.train + demos.valid
+    longest = int(frames.layout.lengths.max())
+    nq = demos.header.nq
+    actions, keyframes, proprio = [], [], []
+    for demo in every:
+        moves = demo_actions(demo, space, scene)
+        state = scene.proprio(demo.qpos(nq), demo.eef_pos)[:-1]
+        pad = ((0, longest - demo.length), (0, 0))
+        actions.append(np.pad(moves, pad))
+        keyframes.append(np.pad(_keyframes(demo, scene), pad))
+        proprio.append(np.pad(state, pad))
+    pixels = frames.pictures.shape[1]
+    return Dataset(
+        frames=frames,
+        K=intrinsics(demos.header.fovy_deg, pixels),
+        base_from_camera=(invert(scene.world_from_base) @ demos.header.world_from_camera).astype(
+            np.float32
+        ),
+        actions=np.stack(actions).astype(np.float32),
+        keyframes=np.stack(keyframes).astype(np.float32),
+        proprio=np.stack(proprio).astype(np.float32),
+        windows=[d.cameras for d in every],
+        train=len(demos.train),
+        fingerprint=f"{demos.fingerprint}-{pixels}px-{space}",
+    )
+
+
+def _keyframes(demo: Demo, scene: World) -> np.ndarray:
+    """Where the grip is when its command next changes, or at the end [T, 3], base frame."""
+    gripper = np.sign(demo.actions[:, -1])
+    changes = np.append(np.flatnonzero(np.diff(gripper)) + 1, demo.length)
+    following = changes[np.searchsorted(changes, np.arange(demo.length), side="right")]
+    world = demo.eef_pos[following]
+    return (world - scene.world_from_base[:3, 3]) @ scene.world_from_base[:3, :3]
+
+
+def stacked_batches(
+    dataset: Dataset,
+    seed: int,
+    first: int,
+    last: int,
+    per_call: int,
+    batch: int,
+    shard: tuple[int, int] = (0, 1),
+    **sizes: int,
+) -> Generator[tuple[int, Batch], None, None]:
+    """Batches of steps `first` to `last`, `per_call` stacked for each compiled call.
+
+    A thread reads ahead; it only makes what `index` names.
+
+    Args:
+        dataset: where samples come from.
+        seed: of the order.
+        first: step to begin with.
+        last: step to stop before.
+        per_call: steps stacked on the first axis.
+        batch: samples a step, of all shards.
+        shard: which of how many equal shards is read.
+        **sizes: `views`, `chunk` and, if there are several, `obs_steps`.
+    """
+    views, chunk, obs_steps = sizes["views"], sizes["chunk"], sizes.get("obs_steps", 1)
+    number, shards = shard
+    own = slice(number * batch // shards, (number + 1) * batch // shards)
+
+    def make(step: int) -> Batch:
+        names = (dataset.samples.index(seed, step + k, batch, views) for k in range(per_call))
+        parts = [
+            dataset.batch(demo[own], t[own], cameras[own], chunk, obs_steps)
+            for demo, t, cameras in names
+        ]
+        return {key: np.stack([p[key] for p in parts]) for key in parts[0]}
+
+    steps = range(first, last, per_call)
+    with ThreadPoolExecutor(1) as pool:
+        ahead = {s: pool.submit(make, s) for s in steps[:PREFETCH]}
+        for i, step in enumerate(steps):
+            ready = ahead.pop(step).result()
+            if i + PREFETCH < len(steps):
+                ahead[steps[i + PREFETCH]] = pool.submit(make, steps[i + PREFETCH])
+            yield step, ready

@@ -1,0 +1,227 @@
+"""`python -m jaxcam.collect`: demonstrations of the scripted expert, as states and commands."""
+
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from jaxcam.config.datasets import CollectConfig
+from jaxcam.console.progress import progress
+from jaxcam.data.demos import Demo, Demos, Header, read_demos
+from jaxcam.data.replay import replay_all
+from jaxcam.data.writer import DemoWriter
+from jaxcam.errors import SimError
+from jaxcam.files.locks import exclusive
+from jaxcam.rays import sample_poses, stair, stair_cameras
+from jaxcam.rays.rotations import quaternion_from_matrix, rotvec_from_matrix
+from jaxcam.runs.identity import with_task
+from jaxcam.sim import make_engine, make_task
+from jaxcam.sim.controllers import CONTROL_HZ
+from jaxcam.sim.engine import Command, Engine, Start, State
+from jaxcam.sim.task import Aim, Sight, Task, starts
+from jaxcam.sim.world import World
+
+FIRST_SEED = 42
+"""Start of the demonstrations' episode seeds (authors' generators)."""
+SEED_STRIDE, SEEDS = 10_000_000, 900_000
+"""Distance between the episode seeds of two datasets, and how many each has: none ever reaches
+those of the evaluation's pairs (`jaxcam.data.pairs.SPLITS`)."""
+TRAIN_CAMERAS = 1
+"""Seed of the training cameras: with robosuite's ranges, the authors' released set."""
+VALIDATION_CAMERAS = 3
+"""Seed of the validation demonstrations' cameras."""
+BATCH = 50
+LEAST_SUCCESS = 0.9
+"""Share of episodes worth keeping below which something is broken and collection stops."""
+
+
+def dataset_path(config: CollectConfig) -> Path:
+    """Where a dataset lies: its name holds every setting that shapes it."""
+    config = with_task(config)
+    name = f"{config.task}-{config.scene}-n{config.n}m{config.m}-{config.demos}+{config.validation}"
+    return Path(config.data_dir) / f"{name}-seed{config.seed}.hdf5"
+
+
+def collect(config: CollectConfig, console: Console | None = None) -> Demos:
+    """Collects what is missing of a dataset and reads it.
+
+    Args:
+        config: what to collect.
+        console: for progress; silent when None.
+
+    Returns:
+        The complete dataset. An existing file is read and checked, an unfinished one continued.
+    """
+    config = with_task(config)
+    path = dataset_path(config)
+    if not path.exists():
+        task = make_task(config.task)
+        task.require()
+        scene = task.scene(config.scene)
+        with exclusive(path, console):
+            if not path.exists():
+                with DemoWriter(path, new_header(config, task, scene)) as writer:
+                    _fill(writer, task, scene, console)
+                    writer.finish()
+    return read_demos(path, task=config.task, scene=config.scene)
+
+
+def new_header(config: CollectConfig, task: Task, scene: World) -> Header:
+    """What the file of a complete config says of itself, its cameras drawn."""
+    poses = [
+        sample_poses(task.cameras, stair_cameras(config.demos, config.n, config.m), TRAIN_CAMERAS),
+        sample_poses(task.cameras, config.validation, VALIDATION_CAMERAS),
+    ]
+    return Header(
+        task=config.task,
+        scene=config.scene,
+        n=config.n,
+        m=config.m,
+        seed=config.seed,
+        train=config.demos,
+        valid=config.validation,
+        fovy_deg=task.fovy_deg,
+        nq=scene.nq,
+        nv=scene.nv,
+        world_from_camera=np.concatenate(poses),
+        versions={name: version(name) for name in ("jaxcam", *scene.packages, "numpy")},
+    )
+
+
+def camera_windows(header: Header) -> list[np.ndarray]:
+    """Rows of the cameras that see each demonstration: the stair's, then one each held out."""
+    cameras = len(header.world_from_camera)
+    held_out = np.arange(cameras - header.valid, cameras)
+    return [*stair(header.train, header.n, header.m), *held_out[:, None]]
+
+
+def _fill(writer: DemoWriter, task: Task, scene: World, console: Console | None) -> None:
+    """Runs expert episodes until every slot of the file has one that replays in every space."""
+    header = writer.header
+    total = header.train + header.valid
+    cameras = camera_windows(header)
+    engine = make_engine(scene.engines[0], scene, "osc_pose", task.varied)
+    seeds = episode_seeds(header.seed)
+    tried = succeeded = kept = 0
+    unsteady: list[int] = []
+    with progress(console, "collecting", total, done=len(writer.done)) as advance:
+        slots = iter(sorted(set(range(total)) - writer.done))
+        # Attempt k of slot i has seed i + k * total: an interrupted collection ends as a whole one.
+        todo = [(slot, 0) for slot in slots]
+        while todo:
+            batch, todo = todo[:BATCH], todo[BATCH:]
+            episodes = run_expert(task, scene, engine, [seeds[i + k * total] for i, k in batch])
+            good = [demo for demo in episodes if demo is not None]
+            unsteady += _unsteady(good, task, scene)
+            for (slot, attempt), demo in zip(batch, episodes, strict=True):
+                if demo is None or demo.seed in unsteady:
+                    todo.append((slot, attempt + 1))
+                    continue
+                kept += 1
+                writer.append(slot, replace(demo, cameras=cameras[slot]))
+                advance()
+            tried, succeeded = tried + len(batch), succeeded + len(good)
+            told = f"The expert succeeded in {succeeded} of {tried} episodes"
+            if unsteady:
+                told += f"; those of seeds {unsteady} do not replay in every action space"
+            if tried >= 20 and kept < LEAST_SUCCESS * tried:
+                raise SimError(
+                    f"{writer.part}: {told}. At least {LEAST_SUCCESS:.0%} of {task.name}'s "
+                    "episodes should be worth keeping. What was collected is kept."
+                )
+    if console and tried:
+        console.print(f"{told}{' and were replaced' * bool(unsteady)}.")
+
+
+def _unsteady(demos: list[Demo], task: Task, scene: World) -> list[int]:
+    """Seeds of the demonstrations that fail when replayed in one of the four action spaces."""
+    if not demos:
+        return []
+    holds = np.all(list(replay_all(demos, task, scene).values()), 0)
+    return [demo.seed for demo, held in zip(demos, holds, strict=True) if not held]
+
+
+def episode_seeds(seed: int) -> range:
+    """The episode seeds that the dataset of a seed may use."""
+    first = FIRST_SEED + SEED_STRIDE * seed
+    return range(first, first + SEEDS)
+
+
+def run_expert(task: Task, scene: World, engine: Engine, seeds: list[int]) -> list[Demo | None]:
+    """Runs one expert episode per seed, all at once.
+
+    Returns:
+        Demonstrations up to the expert's last aim, without cameras; None where it failed.
+    """
+    start = starts(task, scene, seeds)
+    state = engine.reset(start)
+    rngs = [task.rng(seed) for seed in seeds]
+    each = (Start(*row) for row in zip(*start, strict=True))
+    sights = [Sight(*x) for x in zip(*_seen(state), rngs, each, strict=True)]
+    experts = [task.expert(scene, sight) for sight in sights]
+    trace: list[State] = [state]
+    commands: list[np.ndarray] = []
+    lengths = np.full(len(seeds), task.horizon)
+    while len(commands) < task.horizon:
+        aims = [next(expert, None) for expert in experts]
+        for i, aim in enumerate(aims):
+            if aim is None:
+                lengths[i] = min(lengths[i], len(commands))
+        running = lengths > len(commands)
+        if not running.any():
+            break
+        command = np.stack([_command(aim) for aim in aims])
+        state = engine.step(state, Command(command[:, :6], command[:, 6]), active=running)
+        commands.append(command)
+        trace.append(state)
+        for sight, *seen in zip(sights, *_seen(state), strict=True):
+            sight.grip_position, sight.grip_rotation, sight.qpos = seen
+    done = task.success(scene, trace[-1], start) & state.ok
+    return [
+        _demo(trace, commands, start, i, seed, int(lengths[i])) if done[i] else None
+        for i, seed in enumerate(seeds)
+    ]
+
+
+def _seen(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return state.grip_position, state.grip_rotation, state.qpos
+
+
+def _command(aim: Aim | None) -> np.ndarray:
+    if aim is None:  # finished: the world no longer moves
+        return np.zeros(7)
+    return np.concatenate([aim.position, rotvec_from_matrix(aim.rotation), [aim.gripper]])
+
+
+def _demo(
+    trace: list[State], commands: list[np.ndarray], start: Start, i: int, seed: int, length: int
+) -> Demo:
+    rows = trace[: length + 1]
+    time = np.arange(length + 1)[:, None] / CONTROL_HZ
+    qpos = np.stack([s.qpos[i] for s in rows])
+    qvel = np.stack([s.qvel[i] for s in rows])
+    quat = quaternion_from_matrix(np.stack([s.grip_rotation[i] for s in rows]))
+    return Demo(
+        seed=seed,
+        states=np.concatenate([time, qpos, qvel], 1),
+        actions=np.stack([c[i] for c in commands[:length]]),
+        eef_pos=np.stack([s.grip_position[i] for s in rows]),
+        eef_quat=np.roll(quat, -1, -1),
+        gripper=np.array([s.closed[i] for s in rows]),
+        geom_size=start.geom_size[i],
+        fixtures=start.fixtures[i],
+        cameras=np.empty(0, int),
+    )
+
+
+def main(config: CollectConfig, console: Console) -> None:
+    """Runs the command."""
+    demos = collect(config, console)
+    lengths = [d.length for d in demos.train + demos.valid]
+    console.print(
+        f"{demos.path}: {len(demos.train)} training and {len(demos.valid)} validation "
+        f"demonstrations of {min(lengths)} to {max(lengths)} control steps "
+        f"(mean {np.mean(lengths):.0f}), {len(demos.header.world_from_camera)} cameras."
+    )

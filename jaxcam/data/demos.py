@@ -1,0 +1,317 @@
+"""Demonstrations on disk: robomimic-shaped HDF5 of states, commands and camera schedules.
+
+A file holds no pictures; they are rendered from its states (`jaxcam.data.pictures`). Layout::
+
+    data                    attrs: total, env_args (JSON), jaxcam (JSON: task, scene, n, m, ...)
+    data/demo_<i>           attrs: num_samples, seed, cameras (rows of cameras/*)
+      states  [T + 1, 1 + nq + nv]   time, qpos, qvel before each action, and after the last one
+      actions [T, 7]                 commanded grip pose (m, rotation vector; world), gripper sign
+      obs/robot0_eef_pos  [T + 1, 3] measured grip site (m, world)
+      obs/robot0_eef_quat [T + 1, 4] the same, xyzw as robomimic has it
+      obs/robot0_gripper  [T + 1]    the gripper's command in [-1 open, 1 closed]
+      start/{geom_size, fixtures}    what else fixes the episode (`jaxcam.sim.engine.Start`)
+    cameras/world_from_camera [N, 4, 4]   OpenCV axes
+    cameras/fovy_deg                      vertical field of view
+    mask/{train, valid}                   names of the demonstrations
+
+Datasets carry Fletcher-32 checksums, and a complete file a hash of its content
+(`jaxcam.data.writer`).
+"""
+
+import contextlib
+import hashlib
+import json
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from jaxcam.errors import DatasetError
+from jaxcam.rays._checks import ROTATION_TOLERANCE
+from jaxcam.rays.rotations import nearest_rotation
+
+FORMAT = 1
+ROUNDED = 1e-6
+"""Largest entry of |RᵀR - I| of a camera's rotation that is left as it is."""
+_HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Demo:
+    """One demonstration of T control steps."""
+
+    seed: int
+    states: np.ndarray = field(repr=False)
+    actions: np.ndarray = field(repr=False)
+    eef_pos: np.ndarray = field(repr=False)
+    eef_quat: np.ndarray = field(repr=False)
+    gripper: np.ndarray = field(repr=False)
+    geom_size: np.ndarray = field(repr=False)
+    fixtures: np.ndarray = field(repr=False)
+    cameras: np.ndarray
+    """Rows of the file's cameras that see this demonstration [n]."""
+
+    @property
+    def length(self) -> int:
+        """Control steps."""
+        return len(self.actions)
+
+    def qpos(self, nq: int) -> np.ndarray:
+        """Joint positions [T + 1, nq]."""
+        return self.states[:, 1 : 1 + nq]
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a file says of itself."""
+
+    task: str
+    scene: str
+    n: int
+    m: int
+    seed: int
+    train: int
+    """Training demonstrations that the complete file has."""
+    valid: int
+    """Validation demonstrations that the complete file has."""
+    fovy_deg: float
+    nq: int
+    nv: int
+    world_from_camera: np.ndarray = field(repr=False)
+    """All cameras [N, 4, 4]: the schedule's, then one held-out camera per validation demo."""
+    versions: dict[str, str] = field(default_factory=dict)
+    format: int = FORMAT
+
+    def identity(self) -> dict[str, Any]:
+        """What two files must share to be parts of one dataset."""
+        keys = (
+            "task",
+            "scene",
+            "n",
+            "m",
+            "seed",
+            "train",
+            "valid",
+            "fovy_deg",
+            "nq",
+            "nv",
+            "format",
+        )
+        return {k: getattr(self, k) for k in keys}
+
+
+@dataclass(frozen=True)
+class Demos:
+    """A complete file, in memory: a few megabytes."""
+
+    path: Path
+    header: Header
+    train: list[Demo] = field(repr=False)
+    valid: list[Demo] = field(repr=False)
+    fingerprint: str
+    """Hash of all states, commands and cameras."""
+
+
+def read_demos(path: Path, *, task: str | None = None, scene: str | None = None) -> Demos:
+    """Reads a complete file.
+
+    Args:
+        path: of the HDF5 file.
+        task: expected task; any when None.
+        scene: expected scene; any when None.
+
+    Raises:
+        DatasetError: if it is missing, damaged, of another task or scene, or lacks cameras.
+    """
+    with _open(path) as file:
+        header = _read_header(path, file)
+        for name, wanted, found in (("task", task, header.task), ("scene", scene, header.scene)):
+            if wanted is not None and wanted != found:
+                raise DatasetError(
+                    f"{path}: dataset of {name} {found!r}, but {wanted!r} was asked. Point "
+                    "--data-dir elsewhere or collect that one: python -m jaxcam.collect "
+                    f"--task {task or header.task} --scene {scene or header.scene}"
+                )
+        digest = hashlib.sha256(np.ascontiguousarray(header.world_from_camera).tobytes())
+        demos = [_read_demo(path, file, i, header) for i in range(header.train + header.valid)]
+        seal = file["data"].attrs.get("sha256")
+    for demo in demos:
+        for array in (demo.states, demo.actions, demo.geom_size, demo.fixtures, demo.cameras):
+            digest.update(np.ascontiguousarray(array).tobytes())
+    found = Demos(
+        path, header, demos[: header.train], demos[header.train :], digest.hexdigest()[:16]
+    )
+    if seal is not None and seal != seal_of(found):
+        raise DatasetError(
+            f"{path}: damaged: its content is not what was written. Delete it and collect again, "
+            "or copy it anew."
+        )
+    # After the hashes: a singular value decomposition has other last digits on other machines.
+    return replace(found, header=_orthonormal(path, header))
+
+
+def _orthonormal(path: Path, header: Header) -> Header:
+    """The header with rotations that were rounded made rotations again; worse ones are kept."""
+    poses = header.world_from_camera
+    rotation = poses[:, :3, :3].astype(np.float64)
+    error = abs(rotation.swapaxes(-1, -2) @ rotation - np.eye(3)).max((-2, -1))
+    rounded = (error > ROUNDED) & (error <= ROTATION_TOLERANCE) & (np.linalg.det(rotation) > 0)
+    if not rounded.any():
+        return header
+    _log.warning(
+        "%s: rotations of %d of %d cameras are rounded (|RᵀR - I| up to %.1g): the nearest "
+        "rotations are used.", path, rounded.sum(), len(poses), error[rounded].max(),
+    )  # fmt: skip
+    poses = poses.astype(np.float64)
+    poses[rounded, :3, :3] = nearest_rotation(rotation[rounded])
+    return replace(header, world_from_camera=poses)
+
+
+def seal_of(demos: Demos) -> str:
+    """Hash of all that is read of a file; checksums see arrays, but attributes have none."""
+    seeds = [d.seed for d in demos.train + demos.valid]
+    content = [demos.fingerprint, demos.header.identity(), seeds]
+    return hashlib.sha256(json.dumps(content).encode()).hexdigest()
+
+
+def faults_of(path: Path) -> list[DatasetError]:
+    """All that is wrong with the demonstrations of a file, one error for each that has one.
+
+    Raises:
+        DatasetError: if not even its header can be read.
+    """
+    faults = []
+    with _open(path) as file:
+        header = _read_header(path, file)
+        for i in range(header.train + header.valid):
+            try:
+                _read_demo(path, file, i, header)
+            except DatasetError as error:
+                faults.append(error)
+    return faults
+
+
+@contextlib.contextmanager
+def _open(path: Path) -> Iterator[h5py.File]:
+    if not path.exists():
+        raise DatasetError(f"{path}: no such dataset. Make it with: python -m jaxcam.collect")
+    try:
+        with h5py.File(path, "r") as file:
+            yield file
+    except DatasetError:
+        raise
+    except (OSError, RuntimeError, LookupError, TypeError, ValueError) as error:
+        # HDF5's library reports damage in all of these ways.
+        head = path.read_bytes()[:8]
+        if head != _HDF5_SIGNATURE:
+            raise DatasetError(f"{path}: not an HDF5 file; it starts with {head!r}.") from error
+        raise DatasetError(
+            f"{path}: damaged or truncated ({path.stat().st_size} bytes; {error}). Delete it and "
+            "collect again, or copy it anew."
+        ) from error
+
+
+def _read_header(path: Path, file: h5py.File) -> Header:
+    try:
+        about = json.loads(str(file["data"].attrs["jaxcam"]))
+        found = about["format"]
+    except (KeyError, TypeError, ValueError) as error:
+        raise DatasetError(
+            f"{path}: no jaxcam header; found {sorted(file)}. {_whose(path, file)}"
+        ) from error
+    if found != FORMAT:
+        raise DatasetError(f"{path}: format {found}, but this jaxcam reads {FORMAT}.")
+    if "cameras/world_from_camera" not in file:
+        raise DatasetError(f"{path}: no cameras (dataset 'cameras/world_from_camera' is missing).")
+    poses: Any = file["cameras/world_from_camera"]
+    if poses.shape[1:] != (4, 4):
+        raise DatasetError(
+            f"{path}: cameras/world_from_camera is {list(poses.shape)}, expected [cameras, 4, 4]."
+        )
+    try:
+        return Header(world_from_camera=poses[:], **about)
+    except TypeError as error:
+        raise DatasetError(f"{path}: incomplete jaxcam header ({error}).") from error
+
+
+def _whose(path: Path, file: h5py.File) -> str:
+    """Whose layout a file has that is not ours, and what to do with it."""
+    if any(str(name).startswith("traj_") for name in file):
+        return f"It looks like ManiSkill's: python -m jaxcam.maniskill {path}"
+    data: Any = file.get("data", {})
+    if "env_args" in getattr(data, "attrs", {}):
+        return f"It looks like robomimic's: python -m jaxcam.robomimic {path}"
+    if "env" in getattr(data, "attrs", {}):
+        return (
+            "It looks like robosuite's own recording: turn it into robomimic's layout with "
+            "robomimic's convert_robosuite.py, then: python -m jaxcam.robomimic FILE"
+        )
+    return "Expected the layout in docs/data.md."
+
+
+def _read_demo(path: Path, file: h5py.File, index: int, header: Header) -> Demo:
+    name = f"data/demo_{index}"
+    if name not in file:
+        raise DatasetError(f"{path}: {name} is missing.")
+    group: Any = file[name]
+    try:
+        demo = Demo(
+            seed=int(group.attrs["seed"]),
+            states=group["states"][:],
+            actions=group["actions"][:],
+            eef_pos=group["obs/robot0_eef_pos"][:],
+            eef_quat=group["obs/robot0_eef_quat"][:],
+            gripper=group["obs/robot0_gripper"][:],
+            geom_size=group["start/geom_size"][:],
+            fixtures=group["start/fixtures"][:],
+            cameras=np.asarray(group.attrs["cameras"], int),
+        )
+    except KeyError as error:
+        raise DatasetError(f"{path}: {name}: {error}.") from error
+    except OSError as error:
+        raise DatasetError(
+            f"{path}: {name}: checksum or read error ({error}). Copy the file anew, or leave the "
+            "demonstration out."
+        ) from error
+    cameras = len(header.world_from_camera)
+    if demo.cameras.size == 0 or demo.cameras.min() < 0 or demo.cameras.max() >= cameras:
+        raise DatasetError(
+            f"{path}: {name}: cameras {demo.cameras.tolist()} are missing; the file has {cameras}."
+        )
+    _check_demo(f"{path}: {name}", demo, header)
+    return demo
+
+
+def _check_demo(where: str, demo: Demo, header: Header) -> None:
+    """Refuses a demonstration without steps, of other shapes, or with numbers that are none."""
+    steps = demo.length
+    if steps == 0 or len(demo.states) != steps + 1:
+        raise DatasetError(
+            f"{where}: {steps} actions need {steps + 1} states, got {len(demo.states)}."
+        )
+    rows = steps + 1
+    shapes = {
+        "states": (rows, 1 + header.nq + header.nv),
+        "actions": (steps, 7),
+        "eef_pos": (rows, 3),
+        "eef_quat": (rows, 4),
+        "gripper": (rows,),
+    }
+    for field_name, shape in shapes.items():
+        array = getattr(demo, field_name)
+        if array.shape != shape:
+            raise DatasetError(
+                f"{where}: {field_name} is {list(array.shape)}, expected {list(shape)}."
+            )
+        bad = np.argwhere(~np.isfinite(array))
+        if len(bad):
+            raise DatasetError(
+                f"{where}: non-finite {field_name}: {len(bad)} of {array.size} numbers, the first "
+                f"at step {bad[0, 0]}. Leave the demonstration out, or record it again."
+            )

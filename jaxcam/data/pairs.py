@@ -1,0 +1,89 @@
+"""Held-out pairs of an initial state and camera poses: the same for everyone who asks.
+
+Pairs are numbered. A pair follows from its number, the task, the scene, the number of views and
+nothing else, so it is the same for every policy, seed and checkpoint (paper, section IV-C). What
+was evaluated on is stored beside the rows, with a hash of each pair, and compared when an
+evaluation goes on.
+"""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxcam.errors import DatasetError
+from jaxcam.files.jsonl import write_atomically
+from jaxcam.rays import sample_poses
+from jaxcam.sim.task import Start, Task, starts
+from jaxcam.sim.world import World
+
+SPLITS = {"test": (1_000_000, 23), "validation": (2_000_000, 5)}
+"""First episode seed and camera seed of each set of pairs. `test` has the authors' released test
+cameras; settings are chosen on `validation`."""
+
+
+class Pairs(NamedTuple):
+    """Some pairs, in the order they were asked for."""
+
+    seeds: list[int]
+    """Seeds of the episodes."""
+    cameras: np.ndarray
+    """Camera poses (world from camera, OpenCV axes) [B, V, 4, 4]."""
+    start: Start
+    """Initial states."""
+
+    def digests(self) -> list[str]:
+        """A hash of each pair's arrays, rounded to 1e-6 so that it is the same everywhere."""
+        arrays = [np.round(np.asarray(x, np.float64), 6) + 0.0 for x in (self.cameras, *self.start)]
+        return [
+            hashlib.sha256(b"".join(np.ascontiguousarray(x[i]).tobytes() for x in arrays))
+            .hexdigest()[:16]
+            for i in range(len(self.seeds))
+        ]  # fmt: skip
+
+
+def make_pairs(task: Task, scene: World, views: int, split: str, numbers: Sequence[int]) -> Pairs:
+    """The pairs of these numbers; pair p has the camera poses V p to V p + V - 1.
+
+    Args:
+        task: What starts.
+        scene: Where.
+        views: Cameras of a pair.
+        split: `test` or `validation`.
+        numbers: Of the pairs.
+    """
+    first, camera_seed = SPLITS[split]
+    poses = sample_poses(task.cameras, views * (max(numbers) + 1), camera_seed)
+    seeds = [first + number for number in numbers]
+    cameras = poses.reshape(-1, views, 4, 4)[list(numbers)]
+    return Pairs(seeds, cameras, starts(task, scene, seeds))
+
+
+def store_pairs(file: Path, pairs: Pairs) -> None:
+    """Write down the pairs 0, 1, ... of an evaluation, or check that they are those written down.
+
+    Args:
+        file: JSON file beside the rows; made if missing, longer if there are more pairs now.
+        pairs: From number 0 on.
+
+    Raises:
+        DatasetError: A pair is not what it was when rows were written.
+    """
+    digests = pairs.digests()
+    stored = json.loads(file.read_text("utf-8"))["pairs"] if file.is_file() else []
+    for number, (old, new) in enumerate(zip(stored, digests, strict=False)):
+        if old["sha"] != new:
+            raise DatasetError(
+                f"{file}: pair {number} was {old['sha']} and is {new} now, so this version starts "
+                "it from another state or sees it from other cameras. Rows of both would not be "
+                f"comparable: move {file.parent} away to evaluate this run anew."
+            )
+    if len(digests) <= len(stored):
+        return
+    each = zip(pairs.seeds, pairs.cameras.tolist(), digests, strict=True)
+    records = [{"episode_seed": s, "cameras": c, "sha": d} for s, c, d in each]
+    whole = hashlib.sha256("".join(digests).encode()).hexdigest()
+    write_atomically(file, json.dumps({"sha256": whole, "pairs": records}) + "\n")

@@ -1,0 +1,129 @@
+"""Which frames a dataset has, and which samples of them a run takes, given its seed."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from jaxcam.data.demos import Demos
+
+Sample = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Demonstrations [B], time steps [B] and cameras [B, V] of some samples."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The order of a dataset's frames: by demonstration, in it by time, in that by camera."""
+
+    lengths: np.ndarray
+    """Control steps of each demonstration [D]."""
+    cameras: np.ndarray
+    """Number of cameras that see each demonstration [D]."""
+
+    @classmethod
+    def of(cls, demos: Demos) -> "Layout":
+        """The layout of a dataset; training demonstrations come first, validation ones after."""
+        every = demos.train + demos.valid
+        return cls(np.array([d.length for d in every]), np.array([len(d.cameras) for d in every]))
+
+    @cached_property
+    def first(self) -> np.ndarray:
+        """First frame of each demonstration, and after the last the number of frames [D + 1]."""
+        return np.concatenate([[0], np.cumsum(self.lengths * self.cameras)])
+
+    @property
+    def total(self) -> int:
+        """Number of frames."""
+        return int(self.first[-1])
+
+    def owner(self, frame: np.ndarray) -> np.ndarray:
+        """The demonstration that a frame is of."""
+        return np.searchsorted(self.first, frame, side="right") - 1
+
+    def at(self, demo: np.ndarray, t: np.ndarray, camera: np.ndarray) -> np.ndarray:
+        """Index of a frame; `camera` counts within the demonstration's window."""
+        return self.first[demo] + t * self.cameras[demo] + camera
+
+    def where(self, frame: np.ndarray) -> Sample:
+        """The inverse of `at`: demonstration, time step and camera of frames."""
+        demo = self.owner(frame)
+        return demo, *np.divmod(frame - self.first[demo], self.cameras[demo])
+
+
+@dataclass(frozen=True)
+class Samples:
+    """What a run sees of a dataset, step by step."""
+
+    layout: Layout
+    train: int
+    """Number of training demonstrations; the rest are for validation."""
+
+    def index(self, seed: int, step: int, batch: int, views: int) -> Sample:
+        """Names a step's samples.
+
+        As in the authors' harness an epoch takes every training demonstration once, in random
+        order, each at one random time step and from random distinct cameras of its window.
+        """
+        place = step * batch + np.arange(batch)
+        epochs, slots = np.divmod(place, self.train)
+        parts = [self._epoch(seed, int(e), views) for e in np.unique(epochs)]
+        which = np.searchsorted(np.unique(epochs), epochs)
+        pick = [np.stack([p[k] for p in parts])[which, slots] for k in range(3)]
+        return pick[0], pick[1], pick[2]
+
+    def _epoch(self, seed: int, epoch: int, views: int) -> Sample:
+        rng = np.random.Generator(np.random.Philox(key=[seed, epoch]))
+        order = rng.permutation(self.train)
+        t = np.floor(rng.random(self.train) * self.layout.lengths[order]).astype(int)
+        draws = rng.random((self.train, self.layout.cameras.max()))
+        cameras = np.stack(
+            [
+                np.argsort(r[: self.layout.cameras[d]])[:views]
+                for r, d in zip(draws, order, strict=True)
+            ]
+        )
+        return order, t, cameras
+
+    def validation(self, views: int, per_demo: int = 16) -> Sample:
+        """Evenly spaced steps of every validation demonstration."""
+        lengths = self.layout.lengths[self.train :]
+        demos = np.arange(self.train, self.train + len(lengths)).repeat(per_demo)
+        t = np.concatenate([np.linspace(0, n - 1, per_demo).astype(int) for n in lengths])
+        cameras = np.tile(np.arange(views) % self.layout.cameras[-1], (len(demos), 1))
+        return demos, t, cameras
+
+    def wanted(
+        self, seeds: Iterable[int], steps: int, batch: int, views: int, obs_steps: int
+    ) -> np.ndarray | None:
+        """The frames that runs of some seeds see.
+
+        Args:
+            seeds: of the runs.
+            steps: updates of each.
+            batch: samples an update.
+            views: cameras a sample.
+            obs_steps: observations a sample.
+
+        Returns:
+            bool [frames]; None when they are more than half of all.
+        """
+        seen = np.zeros(self.layout.total, bool)
+        if self.train < len(self.layout.lengths):
+            self._mark(seen, self.validation(views), obs_steps)
+        for seed in seeds:
+            for epoch in range(-(-steps * batch // self.train)):
+                self._mark(seen, self._epoch(seed, epoch, views), obs_steps)
+                if epoch % 100 == 0 and seen.mean() > 0.5:
+                    return None
+        return seen if seen.mean() <= 0.5 else None
+
+    def _mark(self, seen: np.ndarray, sample: Sample, obs_steps: int) -> None:
+        demo, t, cameras = sample
+        times = history(t, obs_steps)[..., None]
+        seen[self.layout.at(demo[:, None, None], times, cameras[:, None])] = True
+
+
+def history(t: np.ndarray, obs_steps: int) -> np.ndarray:
+    """The time steps that are seen at each `t` [B], oldest first, [B, S]."""
+    return np.maximum(t[:, None] + np.arange(1 - obs_steps, 1), 0)

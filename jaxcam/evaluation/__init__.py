@@ -1,0 +1,1 @@
+"""Rollouts of checkpoints on held-out pairs of initial state and camera pose, as rows."""

@@ -1,0 +1,192 @@
+"""Rollouts of a policy on held-out pairs: the simulator of a task, and a row for each rollout."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+from jax.sharding import Mesh
+from jax.tree_util import Partial
+
+from jaxcam.config.train import TrainConfig
+from jaxcam.data.pairs import Pairs, make_pairs
+from jaxcam.data.pictures import intrinsics
+from jaxcam.devices import copied, data_mesh, spread
+from jaxcam.models import Policy
+from jaxcam.rays import Camera, spherical
+from jaxcam.sim import engine_name, make_engine, make_task
+from jaxcam.sim.actions import controller_of
+from jaxcam.sim.rollout import Rollouts, rollout
+from jaxcam.sim.world import View
+
+VIDEO_PIXELS = 160
+VIDEO_STRIDE = 2
+"""Control steps per frame of a video."""
+
+Row = dict[str, Any]
+
+
+class Evaluator:
+    """Runs pairs of one task, scene and action space; the compiled parts are made once.
+
+    Args:
+        config: of the runs whose policies are evaluated.
+        width: rollouts simulated at once. Policies see batches of exactly this many, since the
+            width can change a result's last digits; it is kept in each row.
+        engine: that simulates them; `config.engine` when None.
+        ensemble: rate of temporal ensembling, 0 is off; `config.ensemble` when None.
+    """
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        width: int = 50,
+        engine: str | None = None,
+        ensemble: float | None = None,
+    ) -> None:
+        self.config, self.width = config, width
+        self.ensemble = config.ensemble if ensemble is None else ensemble
+        self.task = make_task(config.task)
+        self.task.require()
+        self.scene = self.task.scene(config.scene)
+        self.engine_name = engine_name(engine or config.engine, self.scene)
+        varied = self.task.varied
+        controller = controller_of(config.action_space)
+        self.engine = make_engine(self.engine_name, self.scene, controller, varied)
+        self.renderer = self.scene.painter(config.resolution, varied=varied)
+
+    def run(
+        self,
+        policy: Policy,
+        params: Any,
+        split: str,
+        pairs: Sequence[int],
+        *,
+        step: int,
+        run: str,
+        tick: Callable[[], None] = lambda: None,
+    ) -> tuple[list[Row], Rollouts]:
+        """Runs at most `width` pairs at once.
+
+        Args:
+            policy: the policy.
+            params: its parameters.
+            split: which pairs: `test` or `validation`.
+            pairs: their numbers.
+            step: of the checkpoint, for the rows.
+            run: name of the run, for the rows.
+            tick: called after every control step.
+
+        Returns:
+            One row per pair, and the rollouts.
+        """
+        config, task, spec = self.config, self.task, policy.spec
+        # Always worlds for `width`: neither policy nor compiled physics sees another size.
+        filled = [*pairs, *[pairs[-1]] * (self.width - len(pairs))]
+        chosen = self.pairs(split, filled)
+        cameras, digests = chosen.cameras, chosen.digests()
+        K = intrinsics(task.fovy_deg, config.resolution)
+        ahead = spec.chunk - spec.obs_steps + 1  # steps that a chunk reaches into the future
+        done = rollout(
+            self._acting(policy, params),
+            task,
+            self.scene,
+            self.engine,
+            self.renderer,
+            chosen.start,
+            np.broadcast_to(K, (*cameras.shape[:2], 3, 3)),
+            cameras,
+            config.action_space,
+            ahead if self.ensemble else policy.execute,
+            np.arange(self.width) < len(pairs),
+            tick,
+            spec.obs_steps,
+            self.ensemble,
+        )
+        azimuth, elevation, distance = (
+            np.asarray(x) for x in spherical(cameras[:, 0], np.array(task.cameras.centre))
+        )
+        return [
+            {
+                "task": config.task,
+                "scene": config.scene,
+                "run": run,
+                "policy": config.policy,
+                "conditioning": config.conditioning,
+                "seed": config.seed,
+                "step": step,
+                "split": split,
+                "pair": pair,
+                "pair_sha": digests[i],
+                "success": bool(done.success[i]),
+                "status": "ok" if done.ok[i] else "error",
+                "steps": int(done.steps[i]),
+                "azimuth_deg": float(np.rad2deg(azimuth[i])),
+                "elevation_deg": float(np.rad2deg(elevation[i])),
+                "distance": float(distance[i]),
+                "camera": cameras[i].tolist(),
+                "renderer": self.scene.look,
+                "engine": self.engine_name,
+                "ensemble": self.ensemble,
+                "width": self.width,
+                "episode_seed": chosen.seeds[i],
+            }
+            for i, pair in enumerate(pairs)
+        ], done
+
+    def _acting(self, policy: Policy, params: Any) -> Partial:
+        """The policy as rollouts call it."""
+        mesh = None
+        if not self.engine_name.startswith("mjx"):  # those are one program, on one device
+            mesh = data_mesh(self.width, everywhere=False)
+            params = copied(mesh, params)
+        return Partial(_Acting(policy.act, mesh), params, jax.random.key(self.config.seed))
+
+    def clips(self, done: Rollouts, split: str, pairs: Sequence[int]) -> list[np.ndarray]:
+        """Videos of rollouts as their first camera saw them, uint8 [T, H, W, 3] each."""
+        task = self.task
+        _, cameras, start = self.pairs(split, pairs)
+        renderer = self.scene.painter(VIDEO_PIXELS, varied=task.varied)
+        K = intrinsics(task.fovy_deg, VIDEO_PIXELS)
+        clips = []
+        for i in range(len(pairs)):
+            qpos = done.qpos[: done.steps[i] + 1 : VIDEO_STRIDE, i]
+            several = (len(qpos), 1, 1)
+            view = View(
+                qpos=qpos,
+                geom_size=np.tile(start.geom_size[i], several),
+                fixtures=np.tile(start.fixtures[i], several),
+                K=np.tile(K, several),
+                world_from_camera=np.tile(cameras[i, 0], several),
+            )
+            clips.append(renderer.rgb(view))
+        return clips
+
+    def sight(self, split: str, pair: int) -> tuple[np.ndarray, np.ndarray]:
+        """What a policy sees at a pair's start: picture uint8 [H, W, 3] and ray-map [H, W, 6]."""
+        _, cameras, start = self.pairs(split, [pair])
+        K = intrinsics(self.task.fovy_deg, self.config.resolution)[None]
+        view = View(start.qpos, start.geom_size, start.fixtures, K, cameras[:, 0])
+        size = self.config.resolution
+        camera = Camera(K[0], cameras[0, 0], size, size)
+        rays = camera.in_frame(np.linalg.inv(self.scene.world_from_base)).plucker()
+        return self.renderer.rgb(view)[0], np.asarray(rays)
+
+    def pairs(self, split: str, numbers: Sequence[int]) -> Pairs:
+        """The pairs of these numbers."""
+        return make_pairs(self.task, self.scene, self.config.views, split, numbers)
+
+
+@dataclass(frozen=True)
+class _Acting:
+    """A policy's `act` with chance of its own for every call."""
+
+    act: Callable[..., jax.Array]
+    mesh: Mesh | None = None
+    """Devices that share the batch, if it comes from the host."""
+
+    def __call__(self, params: Any, root: jax.Array, obs: Any, number: jax.Array) -> jax.Array:
+        if self.mesh:
+            obs = spread(self.mesh, obs)
+        return jax.jit(self.act)(params, obs, jax.random.fold_in(root, number))

@@ -1,0 +1,1 @@
+"""What is on disk: JSON lines, whole files or none, locks, videos."""

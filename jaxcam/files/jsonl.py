@@ -1,0 +1,79 @@
+"""Files of JSON lines, and files that are written whole or not at all."""
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from jaxcam.errors import DatasetError
+
+
+def append_jsonl(path: str | Path, *rows: Mapping[str, Any], fsync: bool = False) -> None:
+    """Append rows to a file of JSON lines, in one write.
+
+    A last line that a crash left torn is cut off first.
+
+    Args:
+        path: File; made if missing.
+        rows: Rows; NumPy and JAX numbers in them become plain ones.
+        fsync: Whether to wait until the rows are on the disk.
+    """
+    data = "".join(line_of(row) for row in rows).encode()
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
+    with open(descriptor, "r+b", buffering=0) as file:
+        _cut_torn_line(file)
+        while data:  # A nearly full disk takes a part, then raises on the next write.
+            data = data[file.write(data) :]
+        if fsync:
+            os.fsync(file.fileno())
+
+
+def read_jsonl(path: str | Path) -> list[dict[str, Any]]:
+    """Rows of a file of JSON lines; none if it is missing. A torn last line is left out.
+
+    Raises:
+        DatasetError: A line before the last one is damaged.
+    """
+    path = Path(path)
+    if not path.exists():
+        return []
+    rows = []
+    whole, _, _ = path.read_bytes().rpartition(b"\n")
+    for number, line in enumerate(whole.splitlines(), start=1):
+        try:
+            row = json.loads(line)
+        except ValueError as error:
+            raise DatasetError(f"{path}, line {number}, is damaged: {line[:80]!r}.") from error
+        rows.append(row)
+    return rows
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Write a file so that a crash leaves the old content or the new, never a part."""
+    part = path.with_name(path.name + ".part")
+    with open(part, "w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    part.replace(path)
+
+
+def _cut_torn_line(file: Any) -> None:
+    """Cut what follows the last line end, looking back block by block."""
+    end = keep = file.seek(0, os.SEEK_END)
+    while keep:
+        start = max(0, keep - 65536)
+        file.seek(start)
+        block = file.read(keep - start)
+        if (found := block.rfind(b"\n")) >= 0:
+            keep = start + found + 1
+            break
+        keep = start
+    if keep < end:
+        file.truncate(keep)
+
+
+def line_of(row: Mapping[str, Any]) -> str:
+    """A row as a line of JSON; NumPy and JAX numbers in it become plain ones."""
+    return json.dumps(row, default=lambda x: x.tolist()) + "\n"

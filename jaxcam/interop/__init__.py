@@ -1,0 +1,1 @@
+"""Datasets and policies of others: robomimic, ManiSkill, LeRobot."""

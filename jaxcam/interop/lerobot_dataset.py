@@ -1,0 +1,166 @@
+"""`python -m jaxcam.lerobot DATASET OUT`: a dataset in LeRobot's v3.0 format, cameras included.
+
+Written with pyarrow and PyAV, so LeRobot and its PyTorch need not be installed; LeRobot's own
+loader reads the folder (`tests/golden/check_lerobot.py`). Beside what every LeRobot dataset has
+(`observation.state`, `action`, a video a view) each frame carries, for each view,
+`camera.<view>.base_from_camera` (OpenCV axes) and `camera.<view>.intrinsics` (pixels), and
+`meta/jaxcam.json` tells the conventions. They are no `observation.*`, since LeRobot would take
+those for robot states and normalise every number of a pose by itself.
+"""
+
+import os
+import shutil
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from jaxcam.config.datasets import LerobotConfig
+from jaxcam.console.progress import progress
+from jaxcam.data.batches import Dataset, make_dataset
+from jaxcam.data.demos import Demos, read_demos
+from jaxcam.data.pictures import load_frames
+from jaxcam.errors import DatasetError
+from jaxcam.files.locks import exclusive
+from jaxcam.interop.lerobot_format import VERSION, Writer, feature, video_feature, write_json
+from jaxcam.sim import make_task
+from jaxcam.sim.actions import is_joint
+from jaxcam.sim.controllers import CONTROL_HZ
+from jaxcam.sim.world import World
+
+POSE = ("x", "y", "z", "rx", "ry", "rz")
+JOINTS = tuple(f"joint_{i}" for i in range(1, 8))
+
+
+def export(config: LerobotConfig, console: Console | None = None) -> Path:
+    """Writes a dataset's training (or validation) demonstrations as a LeRobot dataset.
+
+    Args:
+        config: what to export, and where to.
+        console: for progress; silent when None.
+
+    Returns:
+        The folder.
+
+    Raises:
+        DatasetError: if the dataset cannot be read, has no such demonstrations, or the folder
+            exists.
+    """
+    demos, out = read_demos(Path(config.dataset)), Path(config.out)
+    chosen = range(len(demos.train), len(demos.train) + len(demos.valid))
+    if not config.validation:
+        chosen = range(len(demos.train))
+    if not chosen:
+        raise DatasetError(f"{demos.path}: no validation demonstrations to export.")
+    _refuse_existing(out)
+    scene = make_task(demos.header.task).scene(demos.header.scene)
+    frames = load_frames(demos, config.resolution, console)
+    data = make_dataset(demos, frames, config.action_space, scene)
+    part = out.with_name(out.name + ".part")
+    with exclusive(out, console):
+        _refuse_existing(out)
+        shutil.rmtree(part, ignore_errors=True)  # of an export that was interrupted
+        try:
+            _write(part, config, demos, data, chosen, scene, console)
+            os.replace(part, out)
+        except OSError as error:
+            raise DatasetError(
+                f"{part}: {error.strerror or error}. Make room and repeat."
+            ) from error
+    return out
+
+
+def _refuse_existing(out: Path) -> None:
+    if out.exists():
+        raise DatasetError(f"{out} exists. Choose another folder, or delete it first.")
+
+
+def _write(
+    root: Path,
+    config: LerobotConfig,
+    demos: Demos,
+    data: Dataset,
+    chosen: range,
+    scene: World,
+    console: Console | None,
+) -> None:
+    views = [f"view_{v}" for v in range(len(data.windows[chosen[0]]))]
+    features = _features(config, data, views)
+    instruction = config.instruction or demos.header.task.replace("_", " ")
+    total = int(data.lengths[list(chosen)].sum())
+    with (
+        Writer(root, features, CONTROL_HZ, instruction) as writer,
+        progress(console, "exporting", total) as advance,
+    ):
+        for demo in chosen:
+            writer.add(_rows(data, demo, views), _pictures(data, demo))
+            advance(int(data.lengths[demo]))
+        writer.finish("panda")
+    write_json(root / "meta/jaxcam.json", _about(config, demos, data, scene))
+
+
+def _about(config: LerobotConfig, demos: Demos, data: Dataset, scene: World) -> dict[str, Any]:
+    """What LeRobot's own metadata has no place for."""
+    header = demos.header
+    return {
+        "task": header.task,
+        "scene": header.scene,
+        "action_space": config.action_space,
+        "intrinsics": data.K.tolist(),
+        "fovy_deg": header.fovy_deg,
+        "image_size": [config.resolution, config.resolution],
+        "world_from_base": scene.world_from_base.tolist(),
+        "conventions": {
+            "camera": "OpenCV axes: x right, y down, z forward; pixel (i, j) has its centre at "
+            "(j + 0.5, i + 0.5)",
+            "base_from_camera": "p_base = base_from_camera @ p_camera; metres, robot's base",
+            "poses in actions": "grip site in the world (m) and rotation vector (rad)",
+            "gripper": "positive closes",
+        },
+        "source": {"fingerprint": demos.fingerprint, "versions": header.versions},
+        "jaxcam": version("jaxcam"),
+    }
+
+
+def _features(config: LerobotConfig, data: Dataset, views: list[str]) -> dict[str, Any]:
+    """LeRobot's description of every column and video that is ours."""
+    action = [*(JOINTS if is_joint(config.action_space) else POSE), "gripper"]
+    state = [*JOINTS, "grip_x", "grip_y", "grip_z", "opening"]
+    features = {
+        "observation.state": feature("float32", data.proprio.shape[-1:], state),
+        "action": feature("float32", data.actions.shape[-1:], action),
+    }
+    for view in views:
+        features[f"observation.images.{view}"] = video_feature(config.resolution, CONTROL_HZ)
+        features[f"camera.{view}.base_from_camera"] = feature("float32", (4, 4))
+        features[f"camera.{view}.intrinsics"] = feature("float32", (3, 3))
+    return features
+
+
+def _rows(data: Dataset, demo: int, views: list[str]) -> dict[str, np.ndarray]:
+    """One demonstration's columns that are its own."""
+    length = int(data.lengths[demo])
+    rows = {"observation.state": data.proprio[demo, :length], "action": data.actions[demo, :length]}
+    for view, camera in zip(views, data.windows[demo], strict=True):
+        pose, K = data.base_from_camera[camera], data.K.astype(np.float32)
+        rows[f"camera.{view}.base_from_camera"] = np.broadcast_to(pose, (length, 4, 4))
+        rows[f"camera.{view}.intrinsics"] = np.broadcast_to(K, (length, 3, 3))
+    return rows
+
+
+def _pictures(data: Dataset, demo: int) -> dict[str, np.ndarray]:
+    """One demonstration's frames, uint8 [T, H, W, 3] by video."""
+    t = np.arange(data.lengths[demo])
+    views, at = range(len(data.windows[demo])), data.frames.layout.at
+    rows = [at(np.array(demo), t, np.array(v)) for v in views]
+    return {f"observation.images.view_{v}": data.frames.pictures[r] for v, r in enumerate(rows)}
+
+
+def main(config: LerobotConfig, console: Console) -> None:
+    """Runs the command."""
+    out = export(config, console)
+    console.print(f"{out}: a LeRobot {VERSION} dataset. Read it with:")
+    read = f"LeRobotDataset({out.name!r}, root={str(out)!r})"
+    console.print(f"  {read}", soft_wrap=True, markup=False, highlight=False)

@@ -1,0 +1,234 @@
+"""ManiSkill's trajectory files: HDF5 with environment states, and JSON beside it.
+
+The layout is that of ManiSkill's `RecordEpisode` (mani_skill 3), which the official demonstrations
+share::
+
+    traj_<i>/actions                              [T, A]
+    traj_<i>/success                              [T]
+    traj_<i>/env_states/actors/<name>             [T + 1, 13]  pose (xyz, wxyz), velocities
+    traj_<i>/env_states/articulations/<robot>     [T + 1, 31]  the root's, joints, speeds
+"""
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from jaxcam.config.datasets import ManiskillConfig
+from jaxcam.data.demos import Demo
+from jaxcam.errors import DatasetError, JaxcamError, closest
+from jaxcam.interop.maniskill_actions import grip_targets, gripper_signs
+from jaxcam.rays.rotations import quaternion_from_matrix, rotvec_from_matrix
+from jaxcam.sim import make_task
+from jaxcam.sim.controllers import CONTROL_HZ
+from jaxcam.sim.maniskill import kinematics
+from jaxcam.sim.maniskill.memory import JOINTS
+from jaxcam.sim.maniskill.task import ManiSkillTask, SapienWorld
+
+ENVIRONMENTS = {
+    "PushCube-v1": "push",
+    "PushCubeRand-v1": "push",
+    "JaxcamPush-v1": "push",
+    "LiftPegUpright-v1": "lift_upright",
+    "LiftPegUprightRand-v1": "lift_upright",
+    "JaxcamLiftUpright-v1": "lift_upright",
+    "RollBall-v1": "roll_ball",
+    "RollBallRand-v1": "roll_ball",
+    "JaxcamRollBall-v1": "roll_ball",
+}
+"""Our task of each environment whose trajectories can be replayed: ManiSkill's own, the authors'
+variants, ours."""
+ROOT, POSE = 13, 7
+"""Lengths of what stands before the joints in an articulation's state (pose and velocities of its
+root), and of the pose in an actor's, before its velocities."""
+SAME = 1e-3
+"""Difference (m, and of quaternions) up to which two poses of the robot's base are the same."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A trajectory file and what is known of it."""
+
+    path: Path
+    env: str
+    task: ManiSkillTask
+    scene: SapienWorld
+    episodes: list[dict[str, Any]]
+    about: str
+    """Where the demonstrations come from, for the header."""
+
+
+def is_trajectories(path: Path) -> bool:
+    """Whether a file is HDF5 in ManiSkill's layout."""
+    try:
+        with h5py.File(path, "r") as file:
+            return "data" not in file and any(re.fullmatch(r"traj_\d+", str(name)) for name in file)
+    except OSError:
+        return False
+
+
+def read_source(config: ManiskillConfig) -> Source:
+    """What a file and the JSON beside it say of themselves.
+
+    Raises:
+        DatasetError: if they are missing, not ManiSkill's, or of a task that we have not.
+    """
+    path = Path(config.file)
+    if not path.is_file():
+        raise DatasetError(f"{path}: no such file.")
+    about = path.with_suffix(".json")
+    try:
+        told = json.loads(about.read_text())
+        env, episodes = str(told["env_info"]["env_id"]), list(told["episodes"])
+        settings = dict(told["env_info"].get("env_kwargs") or {})
+    except FileNotFoundError as error:
+        raise DatasetError(
+            f"{about}: no such file. ManiSkill writes it beside the trajectories; without it their "
+            "task is not known."
+        ) from error
+    except (KeyError, TypeError, ValueError) as error:
+        raise DatasetError(
+            f"{about}: not what ManiSkill writes beside trajectories: {error!r}. Expected env_info "
+            "with env_id, and episodes."
+        ) from error
+    if env not in ENVIRONMENTS:
+        raise DatasetError(
+            f"{path}: trajectories of {env!r}{closest(env, ENVIRONMENTS)}. Others cannot be "
+            "replayed in our tasks."
+        )
+    hz = (settings.get("sim_config") or {}).get("control_freq", CONTROL_HZ)
+    if hz != CONTROL_HZ:
+        raise DatasetError(
+            f"{path}: recorded at {hz} control steps a second; ours take {CONTROL_HZ}."
+        )
+    if not episodes:
+        raise DatasetError(f"{about}: no episodes.")
+    task: Any = make_task(ENVIRONMENTS[env])
+    source = told.get("source_type") or "unknown source"
+    return Source(
+        path, env, task, task.scene(config.scene), episodes, f"{path.name}: {env}, {source}"
+    )
+
+
+def open_file(path: Path) -> h5py.File:
+    """Opens the HDF5 file.
+
+    Raises:
+        DatasetError: if it cannot be.
+    """
+    try:
+        return h5py.File(path, "r")
+    except OSError as error:
+        raise DatasetError(
+            f"{path}: not an HDF5 file, or damaged or truncated ({path.stat().st_size} bytes; "
+            f"{error}). Download or record it again."
+        ) from error
+
+
+def read_demo(source: Source, file: h5py.File, name: str, mode: str, seed: int) -> Demo:
+    """One trajectory as a demonstration, without cameras.
+
+    Args:
+        source: the file.
+        file: the same, open.
+        name: of the trajectory.
+        mode: control mode it was recorded in.
+        seed: of the demonstration; fixes where the table is seen.
+
+    Raises:
+        DatasetError: if something is missing or wrong; names file and trajectory.
+    """
+    try:
+        group: Any = file[name]
+        return _convert(source, group["env_states"], group["actions"][:], mode, seed)
+    except KeyError as error:
+        raise DatasetError(
+            f"{source.path}: {name}: {error.args[0]}. A replay needs all trajectories of the .json "
+            "file, with actions and environment states (RecordEpisode's record_env_state); a file "
+            "without states is given them by mani_skill.trajectory.replay_trajectory."
+        ) from error
+    except JaxcamError as error:
+        raise DatasetError(f"{source.path}: {name}: {error}") from error
+    except (OSError, RuntimeError) as error:
+        raise DatasetError(f"{source.path}: {name}: damaged ({error}).") from error
+
+
+def _convert(source: Source, states: Any, actions: np.ndarray, mode: str, seed: int) -> Demo:
+    """A recorded episode in our world: T actions and T + 1 states."""
+    scene, task = source.scene, source.task
+    robot = _robot(states["articulations"])
+    _check_base(robot[0], scene.world_from_base)
+    joints, joint_speeds = robot[:, ROOT : ROOT + JOINTS], robot[:, ROOT + JOINTS :]
+    actors = [np.asarray(states["actors"][name], float) for name in scene.objects]
+    qpos = np.concatenate([joints, *(actor[:, :POSE] for actor in actors)], -1)
+    qvel = np.concatenate([joint_speeds, *(actor[:, POSE:] for actor in actors)], -1)
+    if len(actions) < 1 or actions.ndim != 2 or len(qpos) != len(actions) + 1:
+        raise DatasetError(
+            f"actions {actions.shape} and {len(qpos)} states: there must be one state more."
+        )
+    if not (np.isfinite(qpos).all() and np.isfinite(qvel).all() and np.isfinite(actions).all()):
+        raise DatasetError("states or actions that are not finite numbers.")
+    fixtures = task.start(scene, seed).fixtures
+    for row, name in enumerate(scene.markers, start=2):
+        fixtures[row] = states["actors"][name][0, :POSE]
+    position, rotation, _ = kinematics.forward(joints[:, :7])
+    targets = grip_targets(mode, actions.astype(float), joints[:, :7])
+    position, rotation = _in_world(scene, position, rotation)
+    aim, aim_rotation = _in_world(scene, *targets)
+    gripper = gripper_signs(actions)
+    return Demo(
+        seed=seed,
+        states=np.concatenate([np.arange(len(qpos))[:, None] / CONTROL_HZ, qpos, qvel], 1),
+        actions=np.column_stack([aim, rotvec_from_matrix(aim_rotation), gripper]),
+        eef_pos=position,
+        eef_quat=np.roll(quaternion_from_matrix(rotation), -1, -1),
+        gripper=np.concatenate([[-1.0], gripper]),
+        geom_size=np.zeros((0, 3)),
+        fixtures=fixtures,
+        cameras=np.empty(0, int),
+    )
+
+
+def why_failed(source: Source, file: Any, name: str) -> str:
+    """Why a trajectory reaches success in none of its states."""
+    flags = file[name].get("success")
+    if flags is None or not np.any(flags):
+        return "failed when it was recorded"
+    return (
+        f"a success for {source.env}, but in no recorded state for {source.task.name}: "
+        f"{type(source.task).success.__doc__}"
+    )
+
+
+def _robot(articulations: Any) -> np.ndarray:
+    """States [T + 1, 31] of the Panda."""
+    names = [name for name in articulations if name.startswith("panda")]
+    size = ROOT + 2 * JOINTS
+    if len(names) != 1 or articulations[names[0]].shape[1:] != (size,):
+        found = {name: articulations[name].shape for name in articulations}
+        raise DatasetError(f"robots {found}, expected one Panda with states [T + 1, {size}].")
+    return np.asarray(articulations[names[0]], float)
+
+
+def _check_base(state: np.ndarray, world_from_base: np.ndarray) -> None:
+    """That the robot stands where it does in our world."""
+    wanted = np.concatenate(
+        [world_from_base[:3, 3], quaternion_from_matrix(world_from_base[:3, :3])]
+    )
+    found = state[:POSE] * np.where(np.arange(POSE) < 3, 1, np.sign(state[3:POSE] @ wanted[3:]))
+    if abs(found - wanted).max() > SAME:
+        raise DatasetError(
+            f"the robot's base is at {found.round(3).tolist()} (xyz, wxyz), in our task at "
+            f"{wanted.round(3).tolist()}."
+        )
+
+
+def _in_world(
+    scene: SapienWorld, position: np.ndarray, rotation: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    base = scene.world_from_base
+    return position @ base[:3, :3].T + base[:3, 3], base[:3, :3] @ rotation

@@ -1,0 +1,1 @@
+"""Weight files of others: what they are, and how their names and shapes become ours."""

@@ -1,0 +1,344 @@
+"""The rollouts of many runs, with the settings they were made with: what a report is made from.
+
+A *run* is one seed; an *arm* is all runs of the same settings. Both are read from run folders, or
+from a results folder (`rows.jsonl` and `runs.json`), which `write_results` makes of them.
+"""
+
+import functools
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from jaxcam.config.fields import from_json
+from jaxcam.config.train import TrainConfig
+from jaxcam.errors import ConfigError
+from jaxcam.files.jsonl import append_jsonl, read_jsonl, write_atomically
+from jaxcam.results.protocol import Protocol, counted, lacks, protocol_of
+from jaxcam.results.stats import USUAL, Estimate, Row, latest_rows, success_rate
+from jaxcam.runs.identity import FREE_TO_CHANGE, resolve
+
+Settings = dict[str, Any]
+
+# Of the settings that leave training as it was, these say what was trained on and how the
+# policy was run; seeds and how updates are computed differ between runs compared as one.
+_OWN = {"seed", "steps_per_call", "accumulate"}
+_NO_IDENTITY = (FREE_TO_CHANGE | _OWN) - {"dataset", "engine", "ensemble"}
+_NAMED = ("task", "scene", "policy", "preset", "conditioning")
+_KEPT = ("step", "split", "pair", "pair_sha", "success", "status", "steps", "azimuth_deg",
+         "elevation_deg", "distance", "renderer", "width")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Run:
+    """One seed of one setting.
+
+    Attributes:
+        name: Its folder's name.
+        folder: Where its videos are; None if only its rows are known.
+        settings: What makes it comparable to others; seed and file names are not among them.
+        seed: Its seed.
+        rows: Its evaluation rows, one a rollout.
+        seconds: Wall time of its training; 0 if unknown.
+    """
+
+    name: str
+    folder: Path | None
+    settings: Settings
+    seed: int | None
+    rows: list[Row]
+    seconds: float = 0.0
+
+    @property
+    def protocol(self) -> Protocol:
+        """What its evaluation is measured against."""
+        return protocol_of(self.settings.get("policy", ""))
+
+    @property
+    def counted(self) -> list[Row]:
+        """The rows its success rate is taken over."""
+        return counted(self.rows, self.protocol)
+
+
+@dataclass(frozen=True)
+class Arm:
+    """All runs of the same settings: a cell of a table, a bar of a figure."""
+
+    runs: tuple[Run, ...]
+
+    @property
+    def settings(self) -> Settings:
+        """What its runs share."""
+        return self.runs[0].settings
+
+    @functools.cached_property
+    def rows(self) -> list[Row]:
+        """The counted rows of all its runs."""
+        return [row for run in self.runs for row in run.counted]
+
+    @functools.cached_property
+    def estimate(self) -> Estimate:
+        """Its success with interval."""
+        return success_rate(self.rows)
+
+    @functools.cached_property
+    def lacks(self) -> list[str]:
+        """What it lacks of the protocol."""
+        runs = [run.counted for run in self.runs]
+        return lacks(runs, self.runs[0].protocol, self.settings.get("steps"))
+
+    @functools.cached_property
+    def changes(self) -> Settings:
+        """The settings in which it is not what its policy's preset and its task give."""
+        if self.settings.get("preset") is None:
+            return {}
+        return changes(self.settings)
+
+    def count(self) -> str:
+        """Rollouts, and how many the protocol asks for where it lacks any."""
+        asked = self.runs[0].protocol.rollouts
+        n = self.estimate.n
+        if not self.lacks:
+            return f"{n}"
+        return f"{n} of {asked}" if n < asked else f"{n}, {', '.join(self.lacks)}"
+
+    def label(self, *without: str) -> str:
+        """Preset and changes in words.
+
+        Args:
+            *without: Settings that are told elsewhere.
+        """
+        if self.settings.get("preset") is None:
+            return "settings not recorded"
+        changes = (f"{k} {plain(v)}" for k, v in self.changes.items() if k not in without)
+        return ", ".join([f"{self.settings['preset']} preset", *changes])
+
+
+def plain(value: Any) -> str:
+    """A setting's value as people write it."""
+    if isinstance(value, list | tuple):
+        return " ".join(map(str, value)) or "–"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def read_runs(paths: Iterable[str | Path], split: str = "test") -> list[Run]:
+    """All runs in and below folders; each run once, however often it is found.
+
+    Args:
+        paths: Run folders, results folders, or folders that hold such.
+        split: Which pairs: "test" or "validation".
+
+    Raises:
+        ConfigError: A folder has no run, two runs of the same settings and seed disagree, or a pair
+            of one run is not the pair of that number in another.
+    """
+    runs: dict[str, Run] = {}
+    for path in map(Path, paths):
+        found = list(_find(path))
+        if not found:
+            raise ConfigError(
+                f"No run in {path}: neither it nor a folder below it has a config.json or a "
+                "rows.jsonl."
+            )
+        for folder in found:
+            for run in _read(folder, split):
+                key = json.dumps([run.settings, run.seed], sort_keys=True)
+                runs[key] = _merge(runs[key], run) if key in runs else run
+    _check_pairs(runs.values())
+    return list(runs.values())
+
+
+def group(runs: Iterable[Run]) -> list[Arm]:
+    """Runs of the same settings as one arm each, in order of first appearance."""
+    arms: dict[str, list[Run]] = {}
+    for run in runs:
+        arms.setdefault(json.dumps(run.settings, sort_keys=True), []).append(run)
+    return [Arm(tuple(sorted(some, key=lambda r: r.seed or 0))) for some in arms.values()]
+
+
+def identity(config: TrainConfig) -> Settings:
+    """The settings that runs of one arm share, as JSON has them.
+
+    Args:
+        config: Resolved settings of a run.
+    """
+    values = {k: v for k, v in asdict(config).items() if k not in _NO_IDENTITY}
+    values["model"] = list(config.model)
+    values["dataset"] = Path(config.dataset).stem
+    values["weights"] = Path(config.weights).stem
+    return values
+
+
+def changes(settings: Settings) -> Settings:
+    """The settings that are not what their policy's preset and their task give.
+
+    Args:
+        settings: From `identity`.
+    """
+    named = tuple(settings[name] for name in _NAMED)
+    usual, so_long = _usual(*named), _usual(*named, steps=settings["steps"])
+    # What follows from the number of updates, such as the warm-up, is no change of its own.
+    return {
+        k: v for k, v in settings.items()
+        if v is not None and v != usual[k] and (k == "steps" or v != so_long[k])
+    }  # fmt: skip
+
+
+def write_results(folder: Path, runs: Sequence[Run]) -> None:
+    """Write `rows.jsonl` and `runs.json`, from which `read_runs` reads the same runs again.
+
+    Args:
+        folder: Where they go; what is there is replaced.
+        runs: The runs; those without rows are left out.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    runs = [run for run in runs if run.rows]
+    records = [
+        {"run": i, "name": run.name, "seed": run.seed, "seconds": round(run.seconds), "settings":
+         run.settings} for i, run in enumerate(runs)
+    ]  # fmt: skip
+    write_atomically(folder / "runs.json", json.dumps(records, indent=1) + "\n")
+    part = folder / "rows.jsonl.part"
+    part.unlink(missing_ok=True)
+    for i, run in enumerate(runs):
+        append_jsonl(part, *({"run": i, **_brief(row)} for row in run.rows))
+    if part.exists():
+        part.replace(folder / "rows.jsonl")
+
+
+def training_seconds(metrics: Sequence[Row]) -> float:
+    """Wall time of a run: "seconds" counts from the start of a process, so a resumed run adds up.
+
+    Args:
+        metrics: Rows of metrics.jsonl.
+    """
+    total = last = 0.0
+    for row in metrics:
+        if (now := row.get("seconds")) is None:
+            continue
+        if now < last:
+            total += last
+        last = now
+    return total + last
+
+
+def _find(path: Path) -> Iterator[Path]:
+    """The run and results folders at or below a path."""
+    if any((path / name).is_file() for name in ("config.json", "rows.jsonl")):
+        yield path
+    elif path.is_dir():
+        for child in sorted(path.iterdir()):
+            yield from _find(child)
+
+
+def _read(folder: Path, split: str) -> list[Run]:
+    if (folder / "config.json").is_file():
+        return [_read_run(folder, split)]
+    rows = [r for r in latest_rows(read_jsonl(folder / "rows.jsonl")) if _split(r) == split]
+    if (folder / "runs.json").is_file():
+        return _read_results(folder, rows)
+    return _read_rows(folder, rows)
+
+
+def _read_run(folder: Path, split: str) -> Run:
+    stored = from_json(TrainConfig, (folder / "config.json").read_text("utf-8"))
+    # Settings that are newer than the run: it was made with their preset's values.
+    config = resolve(stored, accelerator=False)
+    rows = [
+        r for r in latest_rows(read_jsonl(folder / "eval" / "rows.jsonl")) if _split(r) == split
+    ]
+    settings = identity(config) | _ways(rows)
+    if config.weights:
+        settings["weights"] = _kind_of_weights(folder, config.weights)
+    seconds = training_seconds(read_jsonl(folder / "metrics.jsonl"))
+    return Run(folder.name, folder, settings, config.seed, rows, seconds)
+
+
+def _read_results(folder: Path, rows: Sequence[Row]) -> list[Run]:
+    """The runs of a folder that `write_results` made."""
+    by_run: dict[int, list[Row]] = {}
+    for row in rows:
+        by_run.setdefault(row["run"], []).append(row)
+    runs = []
+    for record in json.loads((folder / "runs.json").read_text("utf-8")):
+        shared = {k: record["settings"].get(k) for k in ("task", "scene", "policy", "conditioning",
+                                                         "engine", "ensemble")}  # fmt: skip
+        shared |= {"seed": record["seed"], "run": record["name"]}
+        some: list[Row] = [{**row, **shared} for row in by_run.get(record["run"], [])]
+        runs.append(Run(record["name"], None, record["settings"], record["seed"], some,
+                        record["seconds"]))  # fmt: skip
+    return runs
+
+
+def _read_rows(folder: Path, rows: Sequence[Row]) -> list[Run]:
+    """Rows alone: their settings are known as far as rows tell."""
+    names = ("task", "scene", "policy", "conditioning")
+    by_run: dict[tuple[Any, ...], list[Row]] = {}
+    for row in rows:
+        by_run.setdefault(tuple(row.get(k) for k in (*names, "seed", "run")), []).append(row)
+    return [
+        Run(key[-1] or folder.name, None, dict(zip(names, key[:4], strict=True)) | _ways(some),
+            key[4], some)
+        for key, some in by_run.items()
+    ]  # fmt: skip
+
+
+def _merge(one: Run, other: Run) -> Run:
+    """The rollouts of both; they are the same run, or it is an error."""
+    known = {(r.get("step"), r["pair"]): r for r in one.rows}
+    for row in other.rows:
+        before = known.setdefault((row.get("step"), row["pair"]), row)
+        if before.get("success") != row.get("success"):
+            where = " and ".join(str(run.folder or run.name) for run in (one, other))
+            raise ConfigError(
+                f"{where} have the same settings and the same seed ({one.seed}), but pair "
+                f"{row['pair']} at step {row.get('step')} ended differently. They are two runs of "
+                "one thing: give only one of them."
+            )
+    return replace(one if one.folder else other, rows=list(known.values()))
+
+
+def _check_pairs(runs: Iterable[Run]) -> None:
+    """Refuses runs that were evaluated on different pairs; older rows have no hash of theirs."""
+    first: dict[tuple[Any, ...], tuple[str, Run]] = {}
+    for run in runs:
+        s = run.settings
+        for row in run.rows:
+            if (sha := row.get("pair_sha")) is None:
+                continue
+            key = (s["task"], s["scene"], s.get("views"), _split(row), row["pair"])
+            known, other = first.setdefault(key, (sha, run))
+            if known != sha:
+                raise ConfigError(
+                    f"{other.folder or other.name} and {run.folder or run.name} were evaluated on "
+                    f"different pairs of the same number ({row['pair']}: {known} and {sha}), so "
+                    "they cannot be compared. Evaluate both with one version."
+                )
+
+
+@functools.lru_cache
+def _usual(*named: str, steps: int | None = None) -> Settings:
+    config = TrainConfig(**dict(zip(_NAMED, named, strict=True)), steps=steps)  # pyright: ignore
+    return identity(resolve(config, accelerator=False)) | USUAL
+
+
+def _ways(rows: Iterable[Row]) -> Settings:
+    """How the policy was run."""
+    found = {k: sorted({(USUAL | dict(r))[k] for r in rows}) for k in USUAL}
+    return {k: USUAL[k] if not v else v[0] if len(v) == 1 else v for k, v in found.items()}
+
+
+def _kind_of_weights(folder: Path, name: str) -> str:
+    record = folder / "weights.json"
+    kind = json.loads(record.read_text("utf-8"))["kind"] if record.is_file() else None
+    return kind or Path(name).stem
+
+
+def _split(row: Mapping[str, Any]) -> str:
+    return row.get("split", "test")
+
+
+def _brief(row: Row) -> Settings:
+    brief = {k: row[k] for k in _KEPT if k in row}
+    return {k: round(v, 3) if isinstance(v, float) else v for k, v in brief.items()}

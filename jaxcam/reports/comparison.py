@@ -1,0 +1,189 @@
+"""`python -m jaxcam.report RUNS…`: many runs beside the paper, as Markdown, LaTeX, CSV and HTML.
+
+Success rates come with intervals and the number of rollouts; comparisons are paired. The folder
+that is written holds the rows too, so it can be read, copied and reported on again.
+"""
+
+import os
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from jaxcam.config.commands import ReportConfig
+from jaxcam.files.jsonl import write_atomically
+from jaxcam.reports import paper
+from jaxcam.reports.arms import Arm, Run, group, read_runs, write_results
+from jaxcam.reports.camera_figures import rate_by_camera
+from jaxcam.reports.document import (
+    Block,
+    Document,
+    Heading,
+    Link,
+    Picture,
+    Text,
+    to_html,
+    to_latex,
+    to_markdown,
+)
+from jaxcam.reports.studies import CONDITIONINGS, STUDIES, names, panels
+from jaxcam.reports.study_figures import bars, curves, maps
+from jaxcam.reports.study_figures import gains as draw_gains
+from jaxcam.reports.style import save
+from jaxcam.reports.tables import (
+    by_task,
+    cells,
+    context,
+    gains,
+    is_of_table,
+    runs_table,
+    table_one,
+    to_csv,
+    twins_of,
+)
+from jaxcam.results.protocol import protocol_of
+
+
+def write_comparison(runs: Sequence[Run], out: Path, split: str = "test") -> Path:
+    """Write a report of many runs.
+
+    Args:
+        runs: From `read_runs`.
+        out: Folder for report.html, report.md, report.tex, report.csv, figures/*.png, and the rows.
+        split: Which pairs the rows are of.
+
+    Returns:
+        Path of the page.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    arms = [arm for arm in group(runs) if arm.estimate.n or arm.estimate.excluded]
+    blocks = [*_about(arms), *_main(arms, out), *_studies(arms, out), *_maps(arms, out)]
+    blocks += [Heading("Runs"), runs_table(runs, _videos(runs, out))]
+    pairs = "held-out pairs" if split == "test" else f"{split} pairs"
+    title = "Camera-conditioned policies: this code beside the paper"
+    subtitle = f"Success on {pairs} of an initial state and a camera pose."
+    document = Document(title, subtitle, blocks)
+    write_atomically(out / "report.md", to_markdown(document))
+    write_atomically(out / "report.tex", to_latex(document))
+    write_atomically(out / "report.csv", to_csv(arms))
+    write_atomically(out / "report.html", to_html(document, out))
+    write_results(out, runs)
+    return out / "report.html"
+
+
+def _about(arms: Sequence[Arm]) -> list[Block]:
+    """What the numbers are, and which of them are not whole."""
+    asked = protocol_of("act")
+    blocks: list[Block] = [
+        Text(
+            "The paper's protocol is seeds × last checkpoints × held-out pairs: "
+            f"{asked} rollouts for each setting ({protocol_of('smolvla').rollouts} for SmolVLA). "
+            "Its figures give no numbers, so only Table I can stand beside ours."
+        )
+    ]
+    lacking = [arm for arm in arms if arm.lacks]
+    if lacking:
+        kinds = sorted({what for arm in lacking for what in arm.lacks})
+        blocks.append(
+            Text(
+                f"{len(lacking)} of {len(arms)} settings have fewer rollouts than the protocol asks"
+                f" for ({'; '.join(kinds)}). Each number stands with its own rollouts.",
+                warns=True,
+            )
+        )
+    if excluded := sum(arm.estimate.excluded for arm in arms):
+        blocks.append(
+            Text(f"Rollouts that did not finish and count in no rate: {excluded}.", warns=True)
+        )
+    return blocks
+
+
+def _main(arms: Sequence[Arm], out: Path) -> list[Block]:
+    """Table I and the paired differences, with a picture for each task."""
+    blocks: list[Block] = [Heading("With and without the camera pose"), table_one(arms)]
+    if table := gains(arms):
+        blocks += [Heading("Paired differences"), table]
+    if twins := [some for some in twins_of(arms) if is_of_table(some[0])]:
+        path = save(draw_gains(twins), out / "figures" / "gains.png")
+        caption = (
+            "Grey: image only. Hollow points: fewer rollouts than the protocol asks for. Diamonds: "
+            "the paper. n: rollouts with and without the camera pose."
+        )
+        blocks.append(Picture(_relative(path, out), caption))
+    return blocks
+
+
+def _studies(arms: Sequence[Arm], out: Path) -> list[Block]:
+    """The paper's figures for which there are rows."""
+    blocks: list[Block] = []
+    for study in STUDIES:
+        found = panels(study, arms)
+        if not found:
+            continue
+        shown = [a for panel in found for some in panel.arms.values() for a in some.values()]
+        named = names(study, shown)
+        figure = curves(found, "cameras") if study.field == "n" else bars(found, named)
+        path = save(figure, out / "figures" / f"{study.file}.png")
+        caption = f"{study.title}. The paper's finding: {paper.SAYS[study.field]}"
+        blocks += [Heading(study.title), Picture(_relative(path, out), caption),
+                   cells(shown, study.field, named)]  # fmt: skip
+    return blocks
+
+
+def _maps(arms: Sequence[Arm], out: Path) -> list[Block]:
+    """Where on the sphere of cameras each policy works."""
+    blocks: list[Block] = []
+    told = [a for a in arms if len(rate_by_camera(a.rows))]
+    for name, some in _by_conditioning(told).items():
+        path = save(maps(some), out / "figures" / f"map-{name}.png")
+        blocks.append(Picture(_relative(path, out), f"Success by camera: {_caption(some[0])}"))
+    return [Heading("Success by camera direction"), *blocks] if blocks else []
+
+
+def _by_conditioning(arms: Sequence[Arm]) -> dict[str, list[Arm]]:
+    """The arms of Table I that differ in their conditioning only, by a name for files."""
+    groups: dict[str, list[Arm]] = defaultdict(list)
+    for some in by_task(a for a in arms if paper.is_table_setting(a.settings)).values():
+        for arm in some:
+            groups[context(arm, "conditioning")].append(arm)
+    named: dict[str, list[Arm]] = {}
+    for some in groups.values():
+        some = sorted(some, key=lambda a: -CONDITIONINGS.index(a.settings["conditioning"]))
+        s = some[0].settings
+        name = f"{s['task']}-{s['policy']}"
+        count = sum(known.startswith(name) for known in named)
+        named[f"{name}-{count + 1}" if count else name] = some
+    return named
+
+
+def _caption(arm: Arm) -> str:
+    s = arm.settings
+    policy, task = paper.policy_title(s["policy"]), paper.task_title(s["task"])
+    return f"{policy} on {task}, {s['scene']} scene, {arm.label()}."
+
+
+def _videos(runs: Sequence[Run], out: Path) -> Mapping[str, list[Link]]:
+    """Links to the videos of failures, which stay in the runs' folders."""
+    links: dict[str, list[Link]] = {}
+    for run in runs:
+        folder = run.folder / "videos" if run.folder else None
+        files = sorted(folder.glob("failures-*.mp4"))[::-1] if folder else []
+        links[run.name] = [Link(file.name, _relative(file, out)) for file in files]
+    return links
+
+
+def _relative(file: Path, folder: Path) -> str:
+    return Path(os.path.relpath(file, folder)).as_posix()
+
+
+def main(config: ReportConfig, console: Console) -> None:
+    """Runs the command."""
+    runs = read_runs(config.runs, config.split)
+    written = write_comparison(runs, Path(config.out), config.split)
+    for arm in group(runs):
+        s = arm.settings
+        name = " ".join(str(s[k]) for k in ("policy", "task", "scene", "conditioning"))
+        whole = f" [{', '.join(arm.lacks)}]" if arm.lacks else ""
+        console.print(f"{name}, {arm.label()}: {arm.estimate}{whole}", markup=False, soft_wrap=True)
+    console.print(f"Report: {written}")

@@ -1,0 +1,188 @@
+"""The figures of a run and of a comparison of runs.
+
+Every function takes rows or arrays and returns a matplotlib `Figure`; `save` writes PNG or SVG.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, MaxNLocator
+
+from jaxcam.reports.camera_figures import camera_poses, rate_by_camera, ray_picture, success_map
+from jaxcam.reports.style import (
+    BLUE,
+    GREY,
+    VERMILION,
+    beside,
+    interval,
+    note,
+    panels,
+    percent,
+    rates_and_differences,
+    save,
+    styled,
+)
+from jaxcam.results.stats import Row, by_field, p_text, paired_difference, success_rate
+
+__all__ = [
+    "camera_poses",
+    "comparison",
+    "loss_curves",
+    "ray_picture",
+    "save",
+    "success_curve",
+    "success_map",
+    "write_plots",
+]
+
+
+@styled
+def loss_curves(metrics: Iterable[Row]) -> Figure:
+    """Training loss (each logged value and its running mean) and validation loss over steps.
+
+    Args:
+        metrics: Rows with "step" and any of "loss", "val_loss"; others are ignored.
+
+    Returns:
+        The figure.
+    """
+    metrics = list(metrics)
+    figure, (axes,) = panels((6.4, 3.5))
+    steps, losses = _series(metrics, "loss")
+    if len(steps):
+        if len(steps) > 20:
+            axes.plot(steps, losses, color=BLUE, alpha=0.22, linewidth=0.8)
+            losses = _running_mean(losses, max(len(losses) // 50, 3))
+        axes.plot(steps, losses, color=BLUE, label="training")
+    val_steps, val_losses = _series(metrics, "val_loss")
+    if len(val_steps):
+        axes.plot(
+            val_steps, val_losses, color=VERMILION, marker="o", markersize=4, label="validation"
+        )
+    values = np.concatenate([losses, val_losses])
+    if len(values) and values.min() > 0 and values.max() > 8 * values.min():
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.set(title="Loss", xlabel="training step")
+    _step_axis(axes, max([*steps, *val_steps], default=1))
+    if len(values):
+        axes.legend()
+    return figure
+
+
+@styled
+def success_curve(metrics: Iterable[Row]) -> Figure:
+    """Success on held-out pairs over training steps, with the 95 % interval as a band.
+
+    Args:
+        metrics: Rows with "step", "success_rate", "low", "high", "pairs"; others are ignored.
+
+    Returns:
+        The figure.
+    """
+    rows = sorted((r for r in metrics if "success_rate" in r), key=lambda r: r["step"])
+    figure, (axes,) = panels((6.4, 3.5))
+    axes.set(title="Success on held-out cameras", xlabel="training step", ylim=(0, 1))
+    axes.yaxis.set_major_formatter(percent())
+    if rows:
+        steps, rates, low, high = (
+            np.array([row[name] for row in rows], float)
+            for name in ("step", "success_rate", "low", "high")
+        )
+        if len(rows) > 1:
+            axes.fill_between(steps, low, high, color=BLUE, alpha=0.16, linewidth=0)
+        else:
+            axes.errorbar(steps, rates, [rates - low, high - rates], color=BLUE, capsize=4)
+        axes.plot(steps, rates, color=BLUE, marker="o", markersize=5)
+        axes.annotate(
+            f"{100 * rates[-1]:.0f} %", (steps[-1], rates[-1]), (-8, 7),
+            textcoords="offset points", ha="right", color=BLUE, weight="bold",
+        )  # fmt: skip
+        pairs = sorted({int(row["pairs"]) for row in rows if "pairs" in row})
+        counts = " to ".join(str(n) for n in dict.fromkeys([*pairs[:1], *pairs[-1:]]))
+        note(axes, f"95 % interval, {counts} pairs" if pairs else "95 % interval")
+    _step_axis(axes, rows[-1]["step"] if rows else 1)
+    return figure
+
+
+@styled
+def comparison(arms: Mapping[str, Sequence[Row]], baseline: str | None = None) -> Figure:
+    """Success of several arms with intervals, and their paired difference to one of them.
+
+    Args:
+        arms: Evaluation rows by the name to show.
+        baseline: Arm the others are compared with; the last one when not given.
+
+    Returns:
+        The figure: at the left the rates (large point: all seeds; small points: each seed), at the
+        right the paired differences.
+    """
+    names = list(arms)
+    baseline = names[-1] if baseline is None else baseline
+    figure, (left, right) = panels((9.2, 1.5 + 0.48 * len(names)), columns=2, share_y=True)
+    for y, name in enumerate(names):
+        estimate = success_rate(arms[name])
+        colour = GREY if name == baseline else BLUE
+        interval(left, y, (estimate.value, estimate.low, estimate.high), colour)
+        by_seed = by_field(arms[name], "seed")
+        if len(by_seed) > 1:
+            rates = [success_rate(of_seed).value for of_seed in by_seed.values()]
+            left.plot(rates, [y + 0.22] * len(rates), "o", color=colour, markersize=3.5, alpha=0.6)
+        text = f"{100 * estimate.value:.1f} %  n = {estimate.n}"
+        beside(left, y, text if estimate.n else "no rollouts")
+        if name == baseline:
+            beside(right, y, "baseline")
+            continue
+        delta = paired_difference(arms[name], arms[baseline])
+        interval(right, y, (delta.value, delta.low, delta.high), colour)
+        words = f"{100 * delta.value:+.1f}  p {p_text(delta.p_value)}  {delta.pairs} pairs"
+        beside(right, y, words)
+    left.set_title("Success on held-out pairs")
+    right.set_title(f"Difference to {baseline}")
+    rates_and_differences(left, right, names)
+    return figure
+
+
+def write_plots(folder: str | Path, metrics: Sequence[Row], rows: Sequence[Row]) -> list[Path]:
+    """Draw the figures of one run that its rows allow: loss, success, success over the sphere.
+
+    Args:
+        folder: Where loss.png, success.png and success_map.png go.
+        metrics: Rows of metrics.jsonl.
+        rows: Evaluation rows of the checkpoint to show.
+
+    Returns:
+        The files written.
+    """
+    folder = Path(folder)
+    written: list[Path] = []
+    if any("loss" in row for row in metrics):
+        written.append(save(loss_curves(metrics), folder / "loss.png"))
+    if any("success_rate" in row for row in metrics):
+        written.append(save(success_curve(metrics), folder / "success.png"))
+    if len(rate_by_camera(rows)):
+        written.append(save(success_map(rows), folder / "success_map.png"))
+    return written
+
+
+def _series(metrics: Sequence[Row], name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Steps and finite values of one metric."""
+    points = [(row["step"], row[name]) for row in metrics if row.get(name) is not None]
+    table = np.array(points, float).reshape(-1, 2)
+    table = table[np.isfinite(table[:, 1])]
+    return table[:, 0], table[:, 1]
+
+
+def _running_mean(values: np.ndarray, width: int) -> np.ndarray:
+    """Centred mean over `width` values, over fewer at the ends."""
+    window = np.ones(width)
+    return np.convolve(values, window, "same") / np.convolve(np.ones_like(values), window, "same")
+
+
+def _step_axis(axes: Axes, last: float) -> None:
+    axes.set_xlim(0, last * 1.04)
+    axes.xaxis.set_major_locator(MaxNLocator(7, integer=True, steps=[1, 2, 2.5, 5, 10]))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))

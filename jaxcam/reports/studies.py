@@ -1,0 +1,119 @@
+"""The paper's figures: each varies one setting, with and without camera conditioning."""
+
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from jaxcam.reports import paper
+from jaxcam.reports.arms import Arm
+from jaxcam.reports.tables import by_task, context
+
+
+@dataclass(frozen=True)
+class Study:
+    """One of the paper's figures.
+
+    Attributes:
+        field: The setting that it varies.
+        title: What it is called.
+        file: Name of its picture.
+        names: Names of the setting's values in the order of the figure; other values follow.
+        belongs: Whether an arm is of this figure, apart from that setting.
+        least: Values it takes to be a figure.
+    """
+
+    field: str
+    title: str
+    file: str
+    names: Mapping[Any, str]
+    belongs: Callable[[Arm], bool] = lambda arm: arm.settings.get("m") != 0
+    least: int = 2
+
+
+@dataclass(frozen=True)
+class Panel:
+    """The arms of a figure that differ in nothing but its setting and the conditioning.
+
+    Attributes:
+        title: Task, policy and what else is particular.
+        arms: By value of the setting, then by conditioning.
+    """
+
+    title: str
+    arms: Mapping[Any, Mapping[str, Arm]]
+
+
+CONDITIONINGS = ("none", "token", "early", "late", "keypoints")
+
+STUDIES = (
+    Study("scene", "Fixed against randomised scenes", "fixed_randomized",
+          {"randomized": "randomized", "fixed": "fixed"}),
+    Study("crop_min", "Random cropping", "cropping", {0.8: "crop", 1.0: "no crop"}),
+    Study("action_space", "Action spaces", "action_spaces",
+          {"eef_delta": "delta EEF", "eef_abs": "abs. EEF", "joint_delta": "delta joint",
+           "joint_abs": "abs. joint", "eef_delta_componentwise": "delta EEF by component"}),
+    Study("conditioning", "Ways to encode the camera pose", "encodings",
+          {"none": "none", "token": "token", "early": "early", "late": "late",
+           "keypoints": "keypoints"}, least=3),
+    Study("weights", "Pretrained image encoders", "pretraining", {"": "none"}),
+    Study("n", "Number of cameras, all seen by every demonstration (m = 0)", "cameras", {},
+          lambda arm: arm.settings.get("m") == 0),
+)  # fmt: skip
+
+
+def panels(study: Study, arms: Sequence[Arm]) -> list[Panel]:
+    """The panels of a figure for which there are enough values of its setting.
+
+    Args:
+        study: The figure.
+        arms: All there are.
+    """
+    known = [a for a in arms if a.estimate.n and study.belongs(a) and study.field in a.settings]
+    found = []
+    for some in by_task(known).values():
+        groups: dict[str, list[Arm]] = {}
+        for arm in some:
+            groups.setdefault(context(arm, study.field, "conditioning"), []).append(arm)
+        for group in map(functools.partial(_compared, study), groups.values()):
+            values = names(study, group)
+            if len(values) < study.least:
+                continue
+            chosen = {
+                value: {a.settings["conditioning"]: a for a in _in_order(group)
+                        if a.settings[study.field] == value}
+                for value in values
+            }  # fmt: skip
+            found.append(Panel(_title(study, group[0]), chosen))
+    return found
+
+
+def names(study: Study, arms: Sequence[Arm]) -> dict[Any, str]:
+    """The values that arms have of a study's setting, in its order, with their names."""
+    there = {arm.settings[study.field] for arm in arms}
+    others = sorted(there - set(study.names))
+    return {v: study.names.get(v, str(v)) for v in (*study.names, *others) if v in there}
+
+
+def _compared(study: Study, arms: Sequence[Arm]) -> list[Arm]:
+    """The arms whose conditioning is there at more than one value."""
+    if study.field == "conditioning":
+        return list(arms)
+    values: dict[str, set[Any]] = {}
+    for arm in arms:
+        values.setdefault(arm.settings["conditioning"], set()).add(arm.settings[study.field])
+    return [arm for arm in arms if len(values[arm.settings["conditioning"]]) > 1]
+
+
+def _in_order(arms: Sequence[Arm]) -> list[Arm]:
+    return sorted(arms, key=lambda a: CONDITIONINGS.index(a.settings["conditioning"]))
+
+
+def _title(study: Study, arm: Arm) -> str:
+    s = arm.settings
+    policy = paper.policy_title(s["policy"])
+    fixed = ["fixed scene"] if s["scene"] == "fixed" and study.field != "scene" else []
+    # What the figure itself says is no particular of a panel.
+    label = arm.label(study.field, *(("m",) if study.field == "n" else ()))
+    task = paper.task_title(s["task"])
+    return "\n".join([task, ", ".join([policy, *fixed, label])])

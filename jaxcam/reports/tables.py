@@ -1,0 +1,290 @@
+"""The tables of a report: the paper's Table I beside ours, and paired differences."""
+
+import csv
+import io
+import json
+import math
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import zip_longest
+from typing import Any
+
+from jaxcam.reports import paper
+from jaxcam.reports.arms import Arm, Run, plain
+from jaxcam.reports.document import Link, Table
+from jaxcam.results.stats import Difference, by_field, p_text, paired_difference
+
+NONE = "–"
+# Settings that a task brings with it, so that they differ between the columns of Table I.
+_OF_TASK = ("n", "m", "views", "steps")
+
+
+def context(arm: Arm, *without: str) -> str:
+    """The settings of an arm but some, to find the arms that differ in these alone."""
+    if "conditioning" in without:
+        without = (*without, "stem")  # says how one way of conditioning is built
+    kept = {k: v for k, v in arm.settings.items() if k not in without}
+    return json.dumps(kept, sort_keys=True)
+
+
+def baselines(arms: Sequence[Arm]) -> dict[str, Arm]:
+    """The image-only arms by `context(arm, "conditioning")`."""
+    return {context(a, "conditioning"): a for a in arms if a.settings["conditioning"] == "none"}
+
+
+def twins_of(arms: Sequence[Arm]) -> list[tuple[Arm, Arm]]:
+    """Every conditioned arm that has rollouts, with the image-only arm of the same settings."""
+    base = baselines(arms)
+    pairs = ((arm, base.get(context(arm, "conditioning"))) for some in by_task(arms).values()
+             for arm in some)  # fmt: skip
+    return [(a, b) for a, b in pairs if b and b is not a and a.estimate.n and b.estimate.n]
+
+
+def table_one(arms: Sequence[Arm]) -> Table:
+    """Table I of the paper, with our lines below the paper's.
+
+    Args:
+        arms: Of any settings; those of Table I are shown.
+    """
+    shown = [arm for arm in arms if is_of_table(arm)]
+    others = [t for t in by_task(shown) if t not in paper.TASKS]
+    tasks = [*paper.TASKS, *others]
+    base = baselines(arms)
+    rows: list[list[str]] = []
+    rules: list[int] = []
+    for policy, name in paper.POLICIES.items():
+        for conditioned in (False, True):
+            rules += [len(rows)] if not conditioned else []
+            title = f"{name}\nw. conditioning" if conditioned else name
+            rows.append([title, "paper", *(_paper_cell(policy, t, conditioned) for t in tasks)])
+            for source, line in _lines(shown, policy, conditioned):
+                rows.append(["", source, *(_rate_cell(line.get(t), base) for t in tasks)])
+    titles = [paper.task_title(t) for t in tasks]
+    caption = (
+        "Success in percent with and without camera conditioning (Table I of the paper). In "
+        "parentheses the gain over the image-only policy, in brackets the 95 % interval from a "
+        "bootstrap over pairs, n the rollouts. Ours have the conditioning of the paper, and those "
+        "it does not have."
+    )
+    return Table(caption, ("Method", "Source", *titles), rows, rules)
+
+
+def gains(arms: Sequence[Arm]) -> Table | None:
+    """Paired differences of every conditioned arm to its image-only twin; None without any."""
+    rows = []
+    for arm, twin in twins_of(arms):
+        s = arm.settings
+        delta = paired_difference(arm.rows, twin.rows)
+        rows.append([
+            paper.policy_title(s["policy"]), _task(arm), s["conditioning"],
+            arm.label(), _paper_gain(arm), *_difference(delta),
+            f"{arm.estimate.n}, {twin.estimate.n}",
+        ])  # fmt: skip
+    head = ("Policy", "Task", "Conditioning", "Settings", "Paper", "Gain", "p", "Pairs",
+            "Rollouts")  # fmt: skip
+    caption = (
+        "Gain of camera conditioning in points: mean over the pairs that both policies were "
+        "evaluated on, with 95 % interval (bootstrap over pairs) and sign-flip permutation p-value."
+    )
+    return Table(caption, head, rows) if rows else None
+
+
+def cells(arms: Sequence[Arm], field: str, order: Mapping[Any, str]) -> Table:
+    """Every arm of a figure, with paired differences.
+
+    Args:
+        arms: Of the figure.
+        field: Setting that the figure varies.
+        order: Its values, with their names; the first is what the others are compared with.
+    """
+    base = baselines(arms)
+    first = next(iter(order))
+    firsts = {context(a, field): a for a in arms if a.settings[field] == first}
+    rows = []
+    for arm in arms:
+        s, e = arm.settings, arm.estimate
+        twin = base.get(context(arm, "conditioning"))
+        reference = firsts.get(context(arm, field))
+        others = [] if field == "conditioning" else [_against(arm, reference)]
+        told = [] if field == "conditioning" else [s["conditioning"]]
+        rows.append([
+            _task(arm) if field != "scene" else paper.task_title(s["task"]),
+            arm.label(field), order[s[field]], *told,
+            _rate(e.value, e.low, e.high), arm.count(), _against(arm, twin), *others,
+        ])  # fmt: skip
+    names = ["Conditioning"] if field != "conditioning" else []
+    versus = [f"Against {order[first]}"] if field != "conditioning" else []
+    head = ("Task", "Settings", "Value", *names, "Success", "Rollouts", "Against image only",
+            *versus)  # fmt: skip
+    return Table("The figure's numbers; differences are paired.", head, rows, folded=True)
+
+
+def runs_table(runs: Iterable[Run], links: Mapping[str, Sequence[Link]]) -> Table:
+    """What was run.
+
+    Args:
+        runs: All runs.
+        links: Videos by run name.
+    """
+    rows = []
+    for run in runs:
+        arm = Arm((run,))
+        estimate, shown = arm.estimate, run.counted
+        steps = sorted(by_field(shown, "step"))
+        hours = f"{run.seconds / 3600:.2f}" if run.seconds else NONE
+        films = links.get(run.name, ())
+        rows.append([
+            run.name, str(run.seed), arm.label(), f"{len(steps)}",
+            f"{max((s or 0 for s in steps), default=0):,}", str(estimate.n),
+            str(estimate.excluded), _rate(estimate.value, estimate.low, estimate.high), hours,
+            films[0] if films else NONE,
+        ])  # fmt: skip
+    head = ("Run", "Seed", "Settings", "Checkpoints", "Newest", "Rollouts", "Did not finish",
+            "Success", "Training hours", "Failures")  # fmt: skip
+    return Table(f"Runs: {len(rows)}", head, rows, folded=True)
+
+
+def to_csv(arms: Sequence[Arm]) -> str:
+    """All arms with their settings, success, gain over the image-only twin, and the paper's."""
+    base = baselines(arms)
+    names = list(dict.fromkeys(name for arm in arms for name in arm.settings))
+    out = io.StringIO()
+    head = [*names, "seeds", "checkpoints", "rollouts", "asked", "lacks", "pairs", "excluded",
+            "success", "low", "high", "paper", "gain", "gain_low", "gain_high", "p",
+            "gain_pairs"]  # fmt: skip
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(head)
+    for arm in arms:
+        e, twin = arm.estimate, base.get(context(arm, "conditioning"))
+        d = None if twin is None or twin is arm else paired_difference(arm.rows, twin.rows)
+        settings = (arm.settings.get(name) for name in names)
+        known = paper_value(arm)
+        writer.writerow([
+            *("" if v is None else plain(v) for v in settings), len(arm.runs),
+            max((len(by_field(r.counted, "step")) for r in arm.runs), default=0), e.n,
+            arm.runs[0].protocol.rollouts, "; ".join(arm.lacks), e.clusters, e.excluded,
+            *map(_number, (e.value, e.low, e.high)), "" if known is None else f"{known / 100:.3f}",
+            *(map(_number, (d.value, d.low, d.high, d.p_value)) if d else [""] * 4),
+            d.pairs if d else "",
+        ])  # fmt: skip
+    return out.getvalue()
+
+
+def paper_value(arm: Arm) -> float | None:
+    """Table I's success in percent where the arm has its settings, else None."""
+    s = arm.settings
+    told = s["conditioning"] != "none"
+    if not paper.is_table_setting(s):
+        return None
+    if told and s["conditioning"] != _papers_way(s["policy"]):
+        return None
+    return paper.success(s["policy"], s["task"], told)
+
+
+def is_of_table(arm: Arm) -> bool:
+    """Whether its settings are Table I's, with the paper's conditioning or one it has nowhere."""
+    way = arm.settings["conditioning"]
+    known = way in ("none", _papers_way(arm.settings["policy"])) or way not in paper.ENCODINGS
+    return known and paper.is_table_setting(arm.settings)
+
+
+def by_task(arms: Iterable[Arm]) -> dict[str, list[Arm]]:
+    """Arms by task, the paper's tasks first and in its order."""
+    tasks: dict[str, list[Arm]] = {name: [] for name in paper.TASKS}
+    for arm in arms:
+        tasks.setdefault(arm.settings["task"], []).append(arm)
+    return {name: some for name, some in tasks.items() if some}
+
+
+def _lines(arms: Sequence[Arm], policy: str, conditioned: bool) -> list[tuple[str, dict[str, Arm]]]:
+    """Our lines of Table I: a name, and an arm for each task."""
+    lines = []
+    groups: dict[str, list[Arm]] = {}
+    for arm in arms:
+        told = arm.settings["conditioning"] != "none"
+        if arm.settings["policy"] == policy and told == conditioned:
+            groups.setdefault(context(arm, "task", *_OF_TASK), []).append(arm)
+    for some in groups.values():
+        columns = by_task(sorted(some, key=lambda a: -(a.settings.get("steps") or 0)))
+        for line in zip_longest(*columns.values()):
+            found = {a.settings["task"]: a for a in line if a is not None}
+            first = next(iter(found.values()))
+            way = [first.settings["conditioning"]] if conditioned else []
+            words = ["ours", *way, first.label(*_OF_TASK), *_steps([*found.values()])]
+            source = "\n".join(textwrap.fill(line, 26) for line in words)
+            lines.append((source, found))
+    return lines
+
+
+def _steps(arms: Sequence[Arm]) -> list[str]:
+    """The numbers of updates, where one is not the preset's."""
+    if not any("steps" in arm.changes for arm in arms):
+        return []
+    counts = sorted({arm.settings["steps"] for arm in arms})
+    return [f"{' or '.join(f'{count:,}' for count in counts)} updates"]
+
+
+def _task(arm: Arm) -> str:
+    """Task and scene; randomised is the usual one."""
+    s = arm.settings
+    return paper.task_title(s["task"]) + (", fixed" if s["scene"] == "fixed" else "")
+
+
+def _papers_way(policy: str) -> str | None:
+    return paper.CONDITIONING.get(policy)
+
+
+def _paper_cell(policy: str, task: str, conditioned: bool) -> str:
+    value = paper.success(policy, task, conditioned)
+    if value is None:
+        return NONE
+    image_only = paper.success(policy, task, False) or 0.0
+    return f"{value:.1f}" + (f" ({value - image_only:+.1f})" if conditioned else "")
+
+
+def _paper_gain(arm: Arm) -> str:
+    s = arm.settings
+    if (value := paper_value(arm)) is None:
+        return NONE
+    return f"{value - (paper.success(s['policy'], s['task'], False) or 0.0):+.1f}"
+
+
+def _rate_cell(arm: Arm | None, base: Mapping[str, Arm]) -> str:
+    if arm is None or not arm.estimate.n:
+        return NONE
+    e, twin = arm.estimate, base.get(context(arm, "conditioning"))
+    gain = ""
+    if twin is not None and twin is not arm and twin.rows:
+        delta = paired_difference(arm.rows, twin.rows)
+        gain = f" ({100 * delta.value:+.1f})" if delta.pairs else ""
+    interval = f"[{100 * e.low:.1f}, {100 * e.high:.1f}]"
+    return f"{100 * e.value:.1f}{gain}\n{interval}\nn = {arm.count()}"
+
+
+def _rate(value: float, low: float, high: float) -> str:
+    if math.isnan(value):
+        return NONE
+    return f"{100 * value:.1f} [{100 * low:.1f}, {100 * high:.1f}]"
+
+
+def _difference(delta: Difference) -> list[str]:
+    if not delta.pairs:
+        return [NONE, NONE, "0"]
+    value, low, high = (100 * x for x in (delta.value, delta.low, delta.high))
+    left_out = f" ({delta.unpaired} unpaired)" if delta.unpaired else ""
+    return [f"{value:+.1f} [{low:+.1f}, {high:+.1f}]", p_text(delta.p_value),
+            f"{delta.pairs}{left_out}"]  # fmt: skip
+
+
+def _against(arm: Arm, other: Arm | None) -> str:
+    if other is None or other is arm or not arm.rows or not other.rows:
+        return NONE
+    delta = paired_difference(arm.rows, other.rows)
+    if not delta.pairs:
+        return "no shared pairs"
+    gain, p_value, _ = _difference(delta)
+    return f"{gain}, p {p_value}"
+
+
+def _number(value: float) -> str:
+    return "" if math.isnan(value) else f"{value:.4f}"

@@ -1,0 +1,230 @@
+"""Grids of runs: a YAML file that says what is trained, and what of it is done.
+
+A file has these entries:
+
+    title: what it is for
+    runs_dir: runs/laptop        # folder of its runs
+    protocol: paper              # evaluation after training: paper, or one (the last checkpoint)
+    settings:                    # flags of `python -m jaxcam.train` that all runs share
+      {preset: laptop, seed: [0, 1, 2]}
+    runs:                        # each entry is every combination of its values and the shared ones
+      - {task: lift, conditioning: [none, late]}
+    slurm: {timeout_min: 480}    # for submitit, where runs are sent to a cluster
+
+A run's folder is named by its settings, not by the file, so files that share runs train them once.
+"""
+
+import dataclasses
+import itertools
+import re
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from jaxcam.config.presets import NAMES
+from jaxcam.config.train import TrainConfig
+from jaxcam.errors import ConfigError, closest
+from jaxcam.files.jsonl import read_jsonl
+from jaxcam.reports.arms import changes, identity, plain
+from jaxcam.results.protocol import missing, protocol_of
+from jaxcam.results.stats import USUAL, Estimate, latest_rows, success_rate
+from jaxcam.runs.identity import resolve
+
+PYTHON = (sys.executable, "-m")
+"""How a command of jaxcam is started."""
+
+_ENTRIES = ("title", "runs_dir", "protocol", "settings", "runs", "slurm")
+_FIELDS = {f.name: f for f in dataclasses.fields(TrainConfig)}
+_OURS = ("run_dir",)
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A run of a grid.
+
+    Attributes:
+        folder: Of the run.
+        given: Its settings as the file gives them; the others are the preset's.
+        config: All its settings.
+        protocol: Its evaluation, "one" or "paper".
+    """
+
+    folder: Path
+    given: Mapping[str, Any]
+    config: TrainConfig
+    protocol: str
+
+    @property
+    def name(self) -> str:
+        """Name of its folder."""
+        return self.folder.name
+
+    @property
+    def steps(self) -> list[int]:
+        """Checkpoints that it is evaluated at."""
+        if self.protocol == "one":
+            return [self.config.steps]
+        asked = protocol_of(self.config.policy)
+        return asked.steps(self.config.steps, self.config.save_every)
+
+    @property
+    def pairs(self) -> int:
+        """Pairs that each of them is evaluated on."""
+        if self.protocol == "one":
+            return self.config.pairs
+        return protocol_of(self.config.policy).pairs
+
+    def commands(self) -> list[list[str]]:
+        """The commands that make it, in order; run again, each goes on where it stopped."""
+        words = [*PYTHON, "jaxcam.train"]
+        for name, value in self.given.items():
+            values = value if isinstance(value, list | tuple) else (value,)
+            words += ["--" + name.replace("_", "-"), *map(str, values)] if values else []
+        train = [*words, "--run-dir", str(self.folder)]
+        if self.protocol == "one":
+            return [train]
+        return [train, [*PYTHON, "jaxcam.evaluate", str(self.folder), "--protocol", "paper"]]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """What a file plans.
+
+    Attributes:
+        title: What it is for.
+        runs_dir: Folder of its runs.
+        runs: The runs, each once.
+        slurm: Parameters for submitit.
+    """
+
+    title: str
+    runs_dir: Path
+    runs: list[Planned]
+    slurm: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a run is.
+
+    Attributes:
+        step: Updates done.
+        rollouts: Rollouts that are done of those asked for.
+        asked: Rollouts asked for.
+        estimate: Success so far.
+    """
+
+    step: int
+    rollouts: int
+    asked: int
+    estimate: Estimate
+
+    @property
+    def done(self) -> bool:
+        """Whether nothing is left to do."""
+        return self.rollouts == self.asked
+
+
+def read_grid(path: str | Path) -> Grid:
+    """The runs that a file plans.
+
+    Args:
+        path: YAML file.
+
+    Raises:
+        ConfigError: It is no such file, or an entry, a setting or a value in it is unknown.
+    """
+    path = Path(path)
+    try:
+        content = yaml.safe_load(path.read_text("utf-8"))
+    except (OSError, yaml.YAMLError) as error:
+        raise ConfigError(f"{path} cannot be read: {error}.") from error
+    where = str(path)
+    content = _mapping(where, content, _ENTRIES)
+    for name in ("runs_dir", "runs"):
+        if not content.get(name):
+            raise ConfigError(f"{where}: there is no '{name}'.")
+    protocol = content.get("protocol", "one")
+    if protocol not in NAMES["protocol"]:
+        raise ConfigError(
+            f"{where}: unknown protocol '{protocol}'{closest(protocol, NAMES['protocol'])}"
+        )
+    shared = _mapping(f"{where}, settings", content.get("settings") or {}, _FIELDS)
+    runs: dict[Path, Planned] = {}
+    for i, block in enumerate(content["runs"], start=1):
+        place = f"{where}, run {i}"
+        values = {**shared, **_mapping(place, block, _FIELDS)}
+        for given in _combinations(place, values):
+            planned = _plan(place, Path(content["runs_dir"]), given, protocol)
+            runs.setdefault(planned.folder, planned)
+    slurm = content.get("slurm") or {}
+    return Grid(content.get("title", path.stem), Path(content["runs_dir"]), [*runs.values()], slurm)
+
+
+def progress_of(run: Planned) -> Progress:
+    """How far a run is, from its folder."""
+    metrics = read_jsonl(run.folder / "metrics.jsonl")
+    step = int(max((row.get("step", 0) for row in metrics), default=0))
+    every = [r for r in read_jsonl(run.folder / "eval" / "rows.jsonl") if r["split"] == "test"]
+    rows = [r for r in every if r["step"] in run.steps and r["pair"] < run.pairs]
+    asked = len(run.steps) * run.pairs
+    left = sum(len(missing([r for r in rows if r["step"] == s], run.pairs)) for s in run.steps)
+    return Progress(step, asked - left, asked, success_rate(latest_rows(rows)))
+
+
+def _plan(where: str, runs_dir: Path, given: dict[str, Any], protocol: str) -> Planned:
+    if given.get("preset", "auto") == "auto":
+        raise ConfigError(
+            f"{where}: there is no 'preset'. A grid says which, since the machine that trains may "
+            "not be the one that plans."
+        )
+    if "seed" not in given:
+        raise ConfigError(f"{where}: there is no 'seed'.")
+    try:
+        config = resolve(TrainConfig(**given), accelerator=False)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from error
+    settings = identity(config) | {"engine": USUAL["engine"]}  # it trains nothing else
+    parts = [settings[name] for name in ("task", "scene", "policy", "preset", "conditioning")]
+    parts += [f"{k}{plain(v)}" for k, v in changes(settings).items()]
+    name = re.sub(r"[^A-Za-z0-9.=+-]+", "_", "-".join([*parts, str(config.seed)]))
+    planned = Planned(runs_dir / name, given, config, protocol)
+    asked = protocol_of(config.policy).checkpoints
+    kept = min(len(planned.steps), config.keep)
+    if protocol == "paper" and kept < asked:
+        raise ConfigError(
+            f"{where}: the protocol takes the last {asked} checkpoints, but {name} keeps {kept} "
+            f"(steps {config.steps:,}, save_every {config.save_every:,}, keep {config.keep}). "
+            f"Set save_every to {config.steps // asked} or less, and keep to {asked} or more."
+        )
+    return planned
+
+
+def _mapping(where: str, content: Any, known: Any) -> dict[str, Any]:
+    """The content, if it is a mapping whose names are known."""
+    if not isinstance(content, dict):
+        raise ConfigError(f"{where}: expected names with values, got {content!r}.")
+    for name in content:
+        if name not in known or name in _OURS:
+            names = [k for k in known if k not in _OURS]
+            raise ConfigError(f"{where}: unknown setting '{name}'{closest(str(name), names)}.")
+    return content
+
+
+def _combinations(where: str, values: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """Every combination of the values; a list is several, of `model` a list of lists."""
+    choices = []
+    for name, value in values.items():
+        several = isinstance(value, list)
+        if name == "model":
+            several = several and any(isinstance(v, list) for v in value)
+            value = [tuple(v) for v in value] if several else tuple(value)
+        if several and not value:
+            raise ConfigError(f"{where}: '{name}' is an empty list.")
+        choices.append(value if several else [value])
+    for combination in itertools.product(*choices):
+        yield dict(zip(values, combination, strict=True))

@@ -1,0 +1,141 @@
+"""The paper's four action spaces, to and from absolute controller targets (section V-A4).
+
+Inside, an action is an absolute target per control step: a grip pose in the world (position,
+rotation vector) or joint angles, with the gripper's sign last. Delta spaces difference the targets
+that were commanded one after the other, the first against what was measured at the start; at run
+time deltas are accumulated from there. Rotations compose on SO(3): R_next = exp(delta) R, axes of
+the base. `eef_delta_componentwise` subtracts and adds rotation vectors number by number, as the
+authors' code does; near half a turn its deltas jump by up to a whole turn.
+"""
+
+import numpy as np
+
+from jaxcam.data.demos import Demo
+from jaxcam.rays.rotations import (
+    Array,
+    array_namespace,
+    matrix_from_quaternion,
+    matrix_from_rotvec,
+    nearest_rotation,
+    rotvec_from_matrix,
+)
+from jaxcam.sim.engine import ControllerName, State
+from jaxcam.sim.world import World
+
+ACTION_SPACES = ("eef_delta", "eef_abs", "joint_delta", "joint_abs")
+"""The paper's four; the authors' component-wise differencing is a fifth, to reproduce them."""
+
+
+def is_joint(space: str) -> bool:
+    """Whether actions are joint angles rather than grip poses."""
+    return space.startswith("joint")
+
+
+def controller_of(space: str) -> ControllerName:
+    """The controller that executes a space's targets."""
+    return "joint_position" if is_joint(space) else "osc_pose"
+
+
+def action_dim(space: str) -> int:
+    """Size of an action, gripper included."""
+    return 8 if is_joint(space) else 7
+
+
+def measured(space: str, state: State, arm: np.ndarray) -> Array:
+    """What deltas start from: the measured grip pose [B, 6] or joint angles [B, 7]."""
+    if is_joint(space):
+        return state.qpos[:, arm]
+    xp = array_namespace(state.qpos)
+    return xp.concatenate([state.grip_position, rotvec_from_matrix(state.grip_rotation)], -1)
+
+
+def encode(space: str, targets: np.ndarray, gripper: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Turns a demonstration's absolute targets into actions.
+
+    Args:
+        space: of the actions.
+        targets: grip poses (m, rad; world) [T, 6] or joint angles (rad) [T, 7].
+        gripper: signs [T].
+        start: what was measured before the first target [6] or [7].
+
+    Returns:
+        Actions [T, 7] or [T, 8].
+    """
+    if space.endswith("abs"):
+        moves = targets
+    else:
+        before = np.concatenate([start[None], targets[:-1]])
+        moves = targets - before
+        if space == "eef_delta":
+            rotations = matrix_from_rotvec(targets[:, 3:])
+            earlier = matrix_from_rotvec(before[:, 3:])
+            moves[:, 3:] = rotvec_from_matrix(rotations @ earlier.swapaxes(-1, -2))
+    return np.concatenate([moves, gripper[:, None]], -1)
+
+
+def demo_actions(demo: Demo, space: str, scene: World) -> np.ndarray:
+    """A demonstration's commands as actions [T, A] of a space.
+
+    Joint targets are the joints reached after each step (authors' code), led by their velocity
+    times the controller's lag, so that the arm is where it was when the gripper was commanded.
+    """
+    nq, arm = scene.nq, scene.arm
+    gripper = demo.actions[:, -1]
+    if is_joint(space):
+        qpos, qvel = demo.states[:, 1 + arm], demo.states[:, 1 + nq + arm]
+        return encode(space, qpos[1:] + scene.joint_lag * qvel[1:], gripper, qpos[0])
+    rotation = matrix_from_quaternion(np.roll(demo.eef_quat[0], 1))
+    start = np.concatenate([demo.eef_pos[0], rotvec_from_matrix(rotation)])
+    return encode(space, demo.actions[:, :-1], gripper, start)
+
+
+def decode(space: str, actions: Array, anchor: Array) -> tuple[Array, Array]:
+    """Turns a batch of action chunks into absolute targets, in the namespace of `anchor`.
+
+    Args:
+        space: of the actions.
+        actions: chunks [B, T, 7] or [B, T, 8].
+        anchor: the last target commanded, at the start what was measured [B, 6] or [B, 7].
+
+    Returns:
+        Targets [B, T, 6] or [B, T, 7], and gripper signs [B, T]. The last target is the next
+        anchor.
+    """
+    xp = array_namespace(anchor)
+    actions = xp.asarray(actions, anchor.dtype)
+    moves, gripper = actions[..., :-1], actions[..., -1]
+    if space.endswith("abs"):
+        return moves, gripper
+    targets = anchor[:, None] + xp.cumsum(moves, 1)
+    if space == "eef_delta":
+        rotation = matrix_from_rotvec(anchor[:, 3:])
+        steps = matrix_from_rotvec(moves[..., 3:])
+        rotations = []
+        for t in range(moves.shape[1]):
+            rotation = steps[:, t] @ rotation
+            rotations.append(rotvec_from_matrix(rotation))
+        targets = xp.concatenate([targets[..., :3], xp.stack(rotations, 1)], -1)
+    return targets, gripper
+
+
+def averageable(space: str, targets: Array, gripper: Array) -> Array:
+    """Absolute targets [..., 6 or 7] and gripper signs [...] as numbers whose mean has a meaning.
+
+    Rotations become matrices [..., 13 in all]; means of rotation vectors fail near half a turn.
+    """
+    xp = array_namespace(targets)
+    parts = [targets, gripper[..., None]]
+    if not is_joint(space):
+        rotation = matrix_from_rotvec(targets[..., 3:]).reshape(*targets.shape[:-1], 9)
+        parts = [targets[..., :3], rotation, gripper[..., None]]
+    return xp.concatenate(parts, -1)
+
+
+def averaged(space: str, mean: Array) -> tuple[Array, Array]:
+    """Targets and gripper signs of a mean of what `averageable` gives."""
+    xp = array_namespace(mean)
+    targets, gripper = mean[..., :-1], mean[..., -1]
+    if not is_joint(space):
+        rotation = nearest_rotation(targets[..., 3:].reshape(*mean.shape[:-1], 3, 3))
+        targets = xp.concatenate([targets[..., :3], rotvec_from_matrix(rotation)], -1)
+    return targets, gripper

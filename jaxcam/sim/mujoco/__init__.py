@@ -1,0 +1,1 @@
+"""MuJoCo's worlds: scenes of robosuite's models, the two engines, the ray tracer."""

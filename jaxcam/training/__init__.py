@@ -1,0 +1,1 @@
+"""Updates: a pure step, the loop around it, checkpoints with content hashes."""

@@ -1,0 +1,98 @@
+"""How a command ends: exit codes, messages, and what is imported when."""
+
+import subprocess
+import sys
+
+import pytest
+from running import exit_code
+
+from jaxcam import __main__ as table
+from jaxcam import errors
+from jaxcam.config.commands import SweepConfig
+from jaxcam.console.command import Command
+
+
+@pytest.fixture
+def run(monkeypatch):
+    """Runs a command whose main is the given function."""
+
+    def run(main):
+        monkeypatch.setattr(sys.modules[__name__], "main", main, raising=False)
+        monkeypatch.setitem(sys.modules, "ends", sys.modules[__name__])
+        Command(SweepConfig, "ends:main").run(["grid.yaml"], prog="jaxcam sweep")
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("kind", "code"),
+    [
+        ("ConfigError", 2),
+        ("CameraError", 3),
+        ("DatasetError", 3),
+        ("CheckpointError", 4),
+        ("SimError", 5),
+        ("DivergedError", 6),
+        ("JaxcamError", 1),
+    ],
+)
+def test_exit_codes_and_clean_messages(kind, code, run, capsys):
+    def main(config, console):
+        raise getattr(errors, kind)("camera[0]: what is [bold]wrong[/bold]")
+
+    with pytest.raises(SystemExit) as stopped:
+        run(main)
+    assert stopped.value.code == code
+    shown = capsys.readouterr().err
+    assert kind in shown
+    assert "camera[0]: what is [bold]wrong[/bold]" in shown
+    assert "Traceback" not in shown
+
+
+@pytest.mark.parametrize(("answer", "code"), [(None, None), (0, 0), (1, 1)])
+def test_a_main_gives_the_exit_code(answer, code, run):
+    with pytest.raises(SystemExit) as stopped:
+        run(lambda config, console: answer)
+    assert stopped.value.code == code
+
+
+def test_bugs_keep_their_traceback_and_ctrl_c_is_130(run):
+    with pytest.raises(ZeroDivisionError):
+        run(lambda config, console: 1 // 0)
+
+    def interrupted(config, console):
+        raise KeyboardInterrupt
+
+    with pytest.raises(SystemExit) as stopped:
+        run(interrupted)
+    assert stopped.value.code == 130
+
+
+def test_the_table_has_every_command_with_a_line(capsys):
+    table.show()
+    shown = capsys.readouterr().out
+    assert "[" not in shown
+    for name in table.NAMES:
+        command, line = table.command(name)
+        assert line.endswith(".")
+        assert line in shown
+        assert command.settings.__doc__
+
+
+@pytest.mark.parametrize("words", [["jaxcam"], ["jaxcam", "--help"]])
+def test_jaxcam_alone_shows_the_table(words):
+    done = subprocess.run([sys.executable, "-m", *words], capture_output=True, text=True)
+    assert done.returncode == 0
+    assert "maniskill" in done.stdout
+
+
+def test_a_command_that_is_not_there_is_told_with_the_closest():
+    done = subprocess.run([sys.executable, "-m", "jaxcam", "tarin"], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert "did you mean 'train'" in done.stderr
+
+
+@pytest.mark.parametrize("name", table.NAMES)
+def test_every_command_has_help(name, capsys):
+    assert exit_code(name, "--help") == 0
+    assert f"jaxcam {name}" in capsys.readouterr().out

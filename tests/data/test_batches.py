@@ -1,0 +1,202 @@
+"""Batches are a pure function of (seed, step), and hold what their index names."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jaxcam.data.batches import STD_FLOOR, make_dataset, stacked_batches
+from jaxcam.sim.actions import ACTION_SPACES, action_dim, demo_actions
+
+CHUNK = 10
+
+
+@pytest.fixture(scope="module")
+def dataset(demos, frames, scene):
+    return make_dataset(demos, frames, "eef_delta", scene)
+
+
+def equal(a, b):
+    assert a.keys() == b.keys()
+    for key in a:
+        np.testing.assert_array_equal(a[key], b[key], err_msg=key)
+
+
+def test_index_is_a_function_of_seed_and_step(dataset):
+    later = [dataset.samples.index(0, step, 3, 2) for step in range(6)]
+    for step in (5, 0, 3):
+        for a, b in zip(dataset.samples.index(0, step, 3, 2), later[step], strict=True):
+            np.testing.assert_array_equal(a, b)
+    index = dataset.samples.index
+    others = [np.concatenate([index(s, k, 3, 2)[1] for k in range(6)]) for s in (0, 1)]
+    assert (others[0] != others[1]).any()
+
+
+@pytest.mark.parametrize("batch", [1, 3, 4, 11])
+def test_every_epoch_takes_each_demonstration_once(dataset, batch):
+    order = np.concatenate([dataset.samples.index(0, step, batch, 1)[0] for step in range(44)])
+    epochs = order[: len(order) // 4 * 4].reshape(-1, 4)
+    assert (np.sort(epochs, 1) == np.arange(4)).all()
+    assert len({tuple(e) for e in epochs}) > 5
+    # The batch size only cuts the same sequence elsewhere.
+    np.testing.assert_array_equal(order[:44], _sequence(dataset, 44))
+
+
+def _sequence(dataset, count):
+    return np.concatenate([dataset.samples.index(0, step, 1, 1)[0] for step in range(count)])
+
+
+def test_time_steps_are_inside_and_cover_the_demonstration(dataset):
+    demo, t, _ = (np.concatenate(x) for x in zip(
+        *(dataset.samples.index(0, s, 40, 1) for s in range(60)), strict=True
+    ))  # fmt: skip
+    assert (t >= 0).all()
+    assert (t < dataset.lengths[demo]).all()
+    for i in range(4):
+        assert len(np.unique(t[demo == i])) > 0.95 * dataset.lengths[i]
+
+
+def test_views_of_a_sample_are_distinct_and_from_its_window(dataset):
+    _, _, views = dataset.samples.index(0, 0, 200, 2)
+    assert (views[:, 0] != views[:, 1]).all()
+    assert set(views.ravel()) == {0, 1, 2}
+
+
+def test_a_batch_holds_what_its_index_names(dataset, demos, frames, scene):
+    demo, t, views = np.array([3, 0]), np.array([0, 7]), np.array([[2, 0], [1, 2]])
+    batch = dataset.batch(demo, t, views, CHUNK)
+    expected = {
+        "image": ((2, 2, 24, 24, 3), "uint8"),
+        "K": ((2, 2, 3, 3), "float32"),
+        "base_from_camera": ((2, 2, 4, 4), "float32"),
+        "proprio": ((2, 11), "float32"),
+        "action": ((2, CHUNK, 7), "float32"),
+        "is_pad": ((2, CHUNK), "bool"),
+    }
+    assert {k: (batch[k].shape, batch[k].dtype.name) for k in expected} == expected
+    for b in range(2):
+        d = demos.train[demo[b]]
+        moves = demo_actions(d, "eef_delta", scene)
+        np.testing.assert_allclose(batch["action"][b], moves[t[b] : t[b] + CHUNK], atol=1e-6)
+        qpos = d.qpos(demos.header.nq)[t[b]]
+        np.testing.assert_allclose(batch["proprio"][b, :7], qpos[:7], atol=1e-6)
+        reach = scene.world_from_base @ np.append(batch["proprio"][b, 7:10], 1)
+        np.testing.assert_allclose(reach[:3], d.eef_pos[t[b]], atol=1e-6)
+        for v in range(2):
+            row = frames.layout.at(demo[b], t[b], views[b, v])
+            np.testing.assert_array_equal(batch["image"][b, v], frames.pictures[row])
+            world = scene.world_from_base @ batch["base_from_camera"][b, v]
+            expected = demos.header.world_from_camera[d.cameras[views[b, v]]]
+            np.testing.assert_allclose(world, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize(("views", "obs_steps"), [(1, 1), (2, 3)])
+def test_wanted_frames_are_those_that_batches_hold(dataset, views, obs_steps):
+    rows = np.arange(dataset.frames.layout.total)
+    numbered = np.stack([rows % 256, rows // 256, 0 * rows], -1).astype(np.uint8)[:, None, None]
+    dataset = replace(dataset, frames=replace(dataset.frames, pictures=numbered))
+    sizes = {"views": views, "chunk": CHUNK, "obs_steps": obs_steps}
+    made = [dataset.validation(**sizes)]
+    for seed in (0, 3):
+        made += [batch for _, batch in stacked_batches(dataset, seed, 0, 6, 1, 2, **sizes)]
+    held = [b["image"].astype(int)[..., 0] + 256 * b["image"].astype(int)[..., 1] for b in made]
+    wanted = dataset.samples.wanted((0, 3), 6, 2, views, obs_steps)
+    expected = np.unique(np.concatenate([h.ravel() for h in held]))
+    np.testing.assert_array_equal(np.flatnonzero(wanted), expected)
+    assert dataset.samples.wanted((0,), 1000, 64, views, obs_steps) is None  # nearly all
+
+
+def test_what_is_past_the_end_is_masked_and_zero(dataset):
+    demo = np.arange(4)
+    t = dataset.lengths[:4] - np.array([1, 4, CHUNK, CHUNK + 1])
+    batch = dataset.batch(demo, t, np.zeros((4, 1), int), CHUNK)
+    assert (~batch["is_pad"]).sum(1).tolist() == [1, 4, CHUNK, CHUNK]
+    assert (np.diff(batch["is_pad"].astype(int), axis=1) >= 0).all()
+    assert not batch["action"][batch["is_pad"]].any()
+    assert batch["action"][~batch["is_pad"]][:, -1].all()  # the gripper's sign is never 0
+
+
+def test_statistics_are_of_the_training_demonstrations(dataset, demos, scene):
+    moves = np.concatenate([demo_actions(d, "eef_delta", scene) for d in demos.train])
+    felt = np.concatenate(
+        [scene.proprio(d.qpos(demos.header.nq), d.eef_pos)[:-1] for d in demos.train]
+    )
+    stats = dataset.stats()
+    assert all(v.dtype == np.float32 for v in stats.values())
+    expected = {
+        "action_mean": moves.sum(0) / len(moves),
+        "action_std": np.maximum(np.sqrt(((moves - moves.mean(0)) ** 2).mean(0)), STD_FLOOR),
+        "action_min": moves.min(0),
+        "action_max": moves.max(0),
+        "proprio_mean": felt.sum(0) / len(felt),
+        "proprio_std": np.sqrt(((felt - felt.mean(0)) ** 2).mean(0)),
+    }
+    for key, value in expected.items():
+        np.testing.assert_allclose(stats[key], value, rtol=1e-3, atol=1e-6, err_msg=key)
+
+
+@pytest.mark.parametrize("space", ACTION_SPACES)
+def test_action_spaces_differ_in_actions_alone(space, demos, frames, scene, dataset):
+    other = make_dataset(demos, frames, space, scene)
+    assert other.actions.shape[-1] == action_dim(space)
+    np.testing.assert_array_equal(other.proprio, dataset.proprio)
+    assert (other.fingerprint == dataset.fingerprint) == (space == "eef_delta")
+
+
+def test_batches_do_not_depend_on_where_reading_starts(dataset):
+    sizes = {"views": 2, "chunk": CHUNK}
+    whole = dict(stacked_batches(dataset, 5, 0, 12, 2, 3, **sizes))
+    assert list(whole) == [0, 2, 4, 6, 8, 10]
+    assert whole[0]["image"].shape[:2] == (2, 3)
+    for step, batch in stacked_batches(dataset, 5, 6, 12, 2, 3, **sizes):
+        equal(batch, whole[step])
+    for step, batch in stacked_batches(dataset, 5, 0, 12, 1, 3, **sizes):
+        part = {k: v[step % 2] for k, v in whole[step - step % 2].items()}
+        equal({k: v[0] for k, v in batch.items()}, part)
+
+
+@pytest.mark.parametrize("shards", [2, 3])
+def test_shards_are_stretches_of_the_same_batches(dataset, shards):
+    sizes = {"views": 2, "chunk": CHUNK}
+    whole = dict(stacked_batches(dataset, 5, 0, 4, 2, 6, **sizes))
+    each = [
+        dict(stacked_batches(dataset, 5, 0, 4, 2, 6, (i, shards), **sizes)) for i in range(shards)
+    ]
+    for step, batch in whole.items():
+        equal({k: np.concatenate([part[step][k] for part in each], 1) for k in batch}, batch)
+
+
+def test_reading_can_stop_early(dataset):
+    batches = stacked_batches(dataset, 0, 0, 10**9, 1, 2, views=1, chunk=CHUNK)
+    assert next(batches)[0] == 0
+    batches.close()
+    assert list(stacked_batches(dataset, 0, 4, 4, 1, 2, views=1, chunk=CHUNK)) == []
+
+
+def test_validation_is_fixed_and_of_held_out_demonstrations(dataset, demos):
+    batch = dataset.validation(CHUNK, 1, per_demo=5)
+    equal(batch, dataset.validation(CHUNK, 1, per_demo=5))
+    assert len(batch["action"]) == 10
+    poses = np.unique(batch["base_from_camera"].reshape(-1, 16), axis=0)
+    training = dataset.base_from_camera[np.unique(np.concatenate(dataset.windows[:4]))]
+    assert len(poses) == 2
+    assert not (poses[:, None] == training.reshape(-1, 16)).all(-1).any()
+    assert (batch["proprio"][0] == dataset.proprio[4, 0]).all()
+    assert (batch["proprio"][4] == dataset.proprio[4, dataset.lengths[4] - 1]).all()
+
+
+def test_a_keyframe_is_where_the_grip_is_when_its_command_next_changes(dataset, demos, scene):
+    demo = demos.train[0]
+    closing = int(np.argmax(demo.actions[:, 6] > 0))
+    assert 0 < closing < demo.length
+    base = scene.world_from_base[:3, 3]
+    expected = np.where(
+        np.arange(demo.length)[:, None] < closing, demo.eef_pos[closing], demo.eef_pos[-1]
+    )
+    np.testing.assert_allclose(
+        dataset.keyframes[0, : demo.length], expected - base, rtol=0, atol=1e-6
+    )
+    batch = dataset.batch(np.array([0]), np.array([closing - 1]), np.array([[0]]), 3)
+    np.testing.assert_allclose(
+        batch["keyframe"][0], (expected - base)[closing - 1 : closing + 2], atol=1e-6
+    )

@@ -1,0 +1,78 @@
+"""Replaying demonstrations in every action space, and the command that tells."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from running import exit_code
+
+from jaxcam.data import replay as replay_module
+from jaxcam.data.demos import read_demos
+from jaxcam.data.replay import replay, replay_all
+from jaxcam.data.writer import DemoWriter
+from jaxcam.sim.actions import ACTION_SPACES, controller_of, demo_actions
+from jaxcam.sim.mujoco.native import NativeEngine
+
+
+@pytest.fixture(scope="module")
+def spoilt(demos, scene):
+    """Demonstrations of which the second was given with the cube somewhere else."""
+    every = demos.train + demos.valid
+    states = every[1].states.copy()
+    states[:, 1 + scene.qpos_of("cube")] += 0.1
+    return [every[0], replace(every[1], states=states), *every[2:]]
+
+
+def test_only_what_still_works_counts(lift, scene, spoilt):
+    found = replay_all(spoilt, lift, scene)
+    assert tuple(found) == ACTION_SPACES
+    expected = np.arange(len(spoilt)) != 1
+    for success in found.values():
+        np.testing.assert_array_equal(success, expected)
+
+
+def test_demonstrations_beyond_a_batch_are_replayed_too(lift, scene, spoilt, monkeypatch):
+    monkeypatch.setattr(replay_module, "BATCH", 2)
+    found = replay_all(spoilt, lift, scene, ["eef_delta"])["eef_delta"]
+    assert found.tolist() == [i != 1 for i in range(len(spoilt))]
+
+
+def test_a_demonstration_is_given_no_more_steps_than_its_own(lift, scene, demos):
+    """Cut before the lift, it must not succeed by being replayed beside a longer one."""
+    demo = demos.train[0]
+    cut = np.flatnonzero(demo.actions[:, 6] > 0)[0]
+    short = replace(demo, states=demo.states[: cut + 1], actions=demo.actions[:cut])
+    engine = NativeEngine(scene, varied=lift.varied)
+    assert replay([short, demo], "eef_abs", lift, scene, engine).tolist() == [False, True]
+
+
+def test_joint_targets_lead_to_where_the_joints_were(lift, scene, demos):
+    """The arm is within 2 cm of the demonstration, at the same time as the gripper's commands."""
+    demo = demos.train[0]
+    targets = demo_actions(demo, "joint_abs", scene)[:, :7]
+    reached = demo.states[1:, 1 + scene.arm]
+    assert np.abs(targets - reached).max() > 0.02  # led, not only copied
+    assert controller_of("joint_abs") == "joint_position"
+    still = np.abs(demo.states[1:, 1 + scene.physics.nq + scene.arm]).max(-1) < 0.02
+    if still.any():
+        np.testing.assert_allclose(targets[still], reached[still], atol=0.01)
+
+
+def test_the_command_tells_and_fails_below_the_gate(tmp_path, demos, spoilt, capsys):
+    path = tmp_path / "spoilt.hdf5"
+    with DemoWriter(path, demos.header) as writer:
+        for i, demo in enumerate(spoilt):
+            writer.append(i, demo)
+        writer.finish()
+    assert len(read_demos(path).train) == len(demos.train)
+    assert exit_code("replay", path, "--action-space", "joint_abs") == 1
+    told = capsys.readouterr().out
+    assert "joint_abs" in told
+    assert "eef_delta" not in told
+    assert "demo_1" in told
+    assert f"{len(spoilt) - 1} of {len(spoilt)}" in told
+    assert exit_code("replay", demos.path) == 0
+    assert "100.0%" in capsys.readouterr().out
+    assert exit_code("replay", path, "--action-space", "joint_bas") == 2
+    told = " ".join(capsys.readouterr().err.split())
+    assert "mean 'joint_abs'" in told

@@ -1,0 +1,158 @@
+"""Policies to LeRobot's layout of a checkpoint and back; that LeRobot agrees, a script checks."""
+
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from policy_inputs import start
+
+from jaxcam.config.commands import WeightsConfig
+from jaxcam.config.train import TrainConfig
+from jaxcam.errors import CheckpointError
+from jaxcam.interop.lerobot_layout import config_of, settings_of
+from jaxcam.interop.lerobot_policy import STATISTICS, adopt, export
+from jaxcam.models import FAMILIES, PolicySpec, make_policy
+from jaxcam.models.act import action_scale, proprio_scale
+from jaxcam.models.diffusion import middle_and_half, proprio_middle_and_half
+from jaxcam.models.fusion import with_conditioning
+from jaxcam.models.weights.load import read_weights
+from jaxcam.runs.identity import resolve
+from jaxcam.training.checkpoint import PolicyInputs, load_policy_inputs
+
+pytest.importorskip("safetensors")
+
+SMALL = {
+    "act": {"chunk": 6, "execute": 2, "width": 16, "encoder_width": 16, "heads": 2, "hidden": 24,
+            "layers": 1, "latent_layers": 1, "latent_dim": 4},
+    "diffusion": {"chunk": 8, "execute": 2, "channels": (16, 32), "step_width": 16,
+                  "keypoints": 4, "features": 8},
+}  # fmt: skip
+PROPRIO, ACTION, SIDE = 11, 7, 32
+
+
+def settings_for(name, preset="lerobot", **changes):
+    return replace(FAMILIES[name].presets[preset], **(SMALL[name] | changes))  # pyright: ignore
+
+
+def inputs_of(settings, views=1, ensemble=0.0, draw=start):
+    """A policy with made-up weights, as a run's checkpoint holds it."""
+    name = next(n for n, f in FAMILIES.items() if f.config is type(settings))
+    spec = PolicySpec(ACTION, PROPRIO, views, SIDE, SIDE, settings.chunk, settings.obs_steps)
+    rng = np.random.default_rng(0)
+    stats = {}
+    for kind, size in (("action", ACTION), ("proprio", PROPRIO)):
+        low, width = rng.normal(size=size), rng.uniform(0.5, 2, size)
+        width[0] = 0  # a dimension that never varied
+        values = (low + width / 2, width / 3, low, low + width)
+        stats |= {
+            f"{kind}_{k}": v.astype(np.float32) for k, v in zip(STATISTICS, values, strict=True)
+        }
+    config = TrainConfig(policy=name, preset="lerobot", views=views, ensemble=ensemble)
+    params = draw(make_policy(settings, spec, stats))
+    config = resolve(config, accelerator=False)
+    return PolicyInputs(config, asdict(settings), asdict(spec), stats, params, 5)
+
+
+def scaled(inputs):
+    """What its network scales actions and proprioception by."""
+    stats, settings = inputs.stats, FAMILIES[inputs.config.policy].config(**inputs.settings)
+    if inputs.config.policy == "act":
+        action = action_scale(stats["action_std"], settings.action_std_floor)
+        proprio = proprio_scale(stats["proprio_std"])
+        return stats["action_mean"], action, stats["proprio_mean"], proprio
+    return *middle_and_half(stats, "action", 1e-6), *proprio_middle_and_half(stats)
+
+
+CASES = [
+    ("act", {}, 1),
+    ("act", {"image_scaling": "symmetric", "pre_norm": True}, 2),
+    ("diffusion", {"sampler": "ddim", "sample_steps": 3}, 1),
+    ("diffusion", {"encoder_per_view": True, "crop": 28, "sample_steps": 2}, 2),
+]
+
+
+@pytest.mark.parametrize(("name", "changes", "views"), CASES)
+def test_there_and_back_it_is_the_same(tmp_path, name, changes, views):
+    inputs = inputs_of(settings_for(name, **changes), views, 0.02 if name == "act" else 0.0)
+    export(inputs, tmp_path / "out")
+    task = "lift" if views == 1 else "pick_place_can"
+    adopt(tmp_path / "out", TrainConfig(task=task, run_dir=str(tmp_path / "run")))
+    back = load_policy_inputs(tmp_path / "run")
+    jax.tree.map(np.testing.assert_array_equal, back.params, inputs.params)
+    for got, expected in zip(scaled(back), scaled(inputs), strict=True):
+        np.testing.assert_allclose(got, expected, rtol=1e-6, atol=2e-7)
+    assert back.step == 0
+    assert (back.config.policy, back.config.views, back.config.resolution) == (name, views, SIDE)
+    assert back.config.ensemble == inputs.config.ensemble
+    record = json.loads((tmp_path / "run/weights.json").read_text())
+    assert record["sha256"] == read_weights(tmp_path / "out/model.safetensors").sha256
+
+
+@pytest.mark.parametrize("name", ["act", "diffusion"])
+def test_settings_there_and_back(name):
+    settings: Any = settings_for(name)
+    spec = PolicySpec(ACTION, PROPRIO, 2, SIDE, SIDE, settings.chunk, settings.obs_steps)
+    config = config_of(settings, spec)
+    json.dumps(config)
+    back, sizes = settings_of(config, "imagenet")
+    assert sizes == spec
+    floors = {"action_std_floor": back.action_std_floor} if name == "act" else {}
+    assert back == replace(settings, **floors)
+
+
+def test_the_original_act_has_a_place_there_but_for_a_head_that_nobody_reads(tmp_path):
+    inputs = inputs_of(settings_for("act", preset="original"))
+    assert "is_pad" in inputs.params["head"]
+    export(inputs, tmp_path / "out")
+    adopt(tmp_path / "out", TrainConfig(run_dir=str(tmp_path / "run")))
+    back = load_policy_inputs(tmp_path / "run")
+    left = {k: v for k, v in inputs.params["head"].items() if k != "is_pad"}
+    jax.tree.map(np.testing.assert_array_equal, back.params, inputs.params | {"head": left})
+    for got, expected in zip(scaled(back), scaled(inputs), strict=True):
+        np.testing.assert_allclose(got, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("settings", "why"), [
+    (with_conditioning(settings_for("act"), "late"), "network is late, not none"),
+    (settings_for("act", image_positions="learned"), "image_positions is learned, not sine"),
+    (settings_for("act", encoder_width=32), "encoder_width is 32, not as width"),
+    (settings_for("diffusion", preset="original", crop=0), "features_relu is False, not True"),
+    (settings_for("diffusion", chunk=6), "chunk is 6, not a multiple of 4"),
+    (settings_for("diffusion", preset="laptop", features=8), "encoder is small, not resnet18"),
+])  # fmt: skip
+def test_what_has_no_place_there_is_told(tmp_path, settings, why):
+    with pytest.raises(CheckpointError, match="no place for this policy") as error:
+        export(inputs_of(settings, draw=lambda policy: {}), tmp_path / "out")
+    assert why in str(error.value)
+    assert not list(tmp_path.iterdir())
+
+
+def edited(folder, **changes):
+    file = folder / "config.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | changes))
+
+
+def test_what_has_no_place_here_is_told(tmp_path):
+    out = tmp_path / "out"
+    export(inputs_of(settings_for("act")), out)
+    run = TrainConfig(run_dir=str(tmp_path / "run"))
+    edited(out, vision_backbone="resnet34")
+    with pytest.raises(CheckpointError, match="vision_backbone is resnet34, not resnet18"):
+        adopt(out, run)
+    edited(out, vision_backbone="resnet18", dim_feedforward=48)
+    with pytest.raises(CheckpointError, match=r"linear1.*expected \(48, 16\), got \(24, 16\)"):
+        adopt(out, run)
+    edited(out, dim_feedforward=24)
+    with pytest.raises(CheckpointError, match="actions of 7, but lift in joint_abs has 8"):
+        adopt(out, replace(run, action_space="joint_abs"))
+    with pytest.raises(CheckpointError, match="exists"):
+        export(inputs_of(settings_for("act")), out)
+    with pytest.raises(CheckpointError, match="no LeRobot checkpoint"):
+        adopt(tmp_path, run)
+    assert not (tmp_path / "run").exists()
+    with pytest.raises(CheckpointError, match="is a folder"):
+        read_weights(Path(WeightsConfig(str(out)).source))

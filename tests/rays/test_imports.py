@@ -1,0 +1,39 @@
+"""`jaxcam.rays` stands alone; errors are told apart by exit code and shown without a traceback."""
+
+import subprocess
+import sys
+
+from jaxcam import errors
+
+HEAVY = "flax optax orbax mujoco warp cv2 robosuite torch sapien h5py scipy matplotlib rich"
+
+
+def run(code):
+    return subprocess.run(
+        [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=False
+    )
+
+
+def test_rays_load_only_jax_and_numpy():
+    done = run(
+        "import sys, jaxcam.rays as r\n"
+        "r.plucker([[9, 0, 4], [0, 9, 4], [0, 0, 1]], __import__('numpy').eye(4), 8, 8)\n"
+        f"print(sorted(set('{HEAVY}'.split()) & set(sys.modules)))"
+    )
+    assert done.stdout.strip() == "[]", done.stdout + done.stderr
+
+
+def test_the_package_itself_loads_nothing():
+    done = run("import sys, jaxcam; print(jaxcam.__version__, 'jax' in sys.modules)")
+    assert done.stdout.split()[1] == "False", done.stderr
+
+
+def test_closest_names():
+    known = ["lift", "can", "square"]
+    assert errors.closest("Lifft", known) == ", did you mean 'lift'? Known: lift, can, square"
+    assert errors.closest("xyzzy", known) == ". Known: lift, can, square"
+
+
+def test_value_errors_can_be_caught_as_such():
+    for kind in (errors.ConfigError, errors.CameraError, errors.DatasetError):
+        assert issubclass(kind, ValueError)

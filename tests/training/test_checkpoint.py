@@ -1,0 +1,430 @@
+"""Checkpoints: exact round trip, and every fault that was seen or is to be feared, injected."""
+
+import dataclasses
+import logging
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import textwrap
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+from places import TESTS
+
+import jaxcam.training.checkpoint
+from jaxcam.config.train import TrainConfig
+from jaxcam.errors import CheckpointError
+from jaxcam.runs.identity import resolve
+from jaxcam.training.checkpoint import Checkpoints, checkpoint_steps, load_policy_inputs, make_side
+from jaxcam.training.digests import DamagedError, flatten, read_all
+from jaxcam.training.state import init_state, make_train_chunk
+
+CONFIG = resolve(TrainConfig(steps=6, save_every=1), accelerator=False)
+ROOT = jax.random.key(0)
+
+# Orbax reads arrays side by side and closes its event loop at the first that fails; the others
+# then complain from threads of their own.
+pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+TX = optax.masked(optax.adamw(1e-2), True)
+STATS = {"action_mean": np.array([0.1, 1 / 3, -2e-9], np.float32), "n": np.int64(7)}
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """Stands for a policy's settings and its sizes."""
+
+    width: int = 4
+    sizes: tuple[tuple[int, ...], ...] = ((1, 2), (3,))
+
+
+def init(key):
+    return {"w": jax.random.normal(key, (64, 5)), "deep": {"0": {"b": jnp.zeros(5)}}}
+
+
+def loss(params, batch, key):
+    out = batch["x"] @ params["w"] + params["deep"]["0"]["b"] + jax.random.normal(key)
+    return jnp.mean(out**2), {}
+
+
+CHUNK = make_train_chunk(loss, TX, ema=0.9)
+SIDE = make_side(CONFIG, settings=Settings(), spec=Settings(width=9), stats=STATS, data="abc")
+
+
+def fresh(*, ema=True):
+    return init_state(init, TX, ROOT, ema=ema)
+
+
+def train(state, last):
+    for step in range(int(state.step), last):
+        x = np.random.default_rng(step).normal(size=(1, 8, 64)).astype(np.float32)
+        state, _ = CHUNK(state, {"x": x}, ROOT)
+    return state
+
+
+def template():
+    return jax.eval_shape(fresh)
+
+
+def assert_same(a, b):
+    assert jax.tree.structure(a) == jax.tree.structure(b)
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        assert x.dtype == y.dtype
+        np.testing.assert_array_equal(x, y)
+
+
+@pytest.fixture
+def run(tmp_path):
+    """A run folder with checkpoints of steps 1, 2 and 3."""
+    with Checkpoints(tmp_path / "checkpoints") as checkpoints:
+        state = fresh()
+        for step in (1, 2, 3):
+            state = train(state, step)
+            checkpoints.save(state, SIDE)
+    return tmp_path
+
+
+def data_files(run, step, item):
+    files = [p for p in (run / "checkpoints" / str(step) / item).rglob("*") if p.parent.name == "d"]
+    assert files
+    return sorted(files, key=lambda p: p.stat().st_size)
+
+
+def flip_byte(path, where=0.5):
+    data = bytearray(path.read_bytes())
+    data[int(len(data) * where)] ^= 0x10
+    path.write_bytes(data)
+
+
+def test_six_steps_equal_three_saved_restored_and_three(run):
+    with Checkpoints(run / "checkpoints") as checkpoints:
+        restored = checkpoints.restore_latest(template())
+    assert int(restored.state.step) == 3
+    assert_same(restored.state, train(fresh(), 3))
+    assert_same(train(restored.state, 6), train(fresh(), 6))
+
+
+def test_a_run_whose_optimizer_had_no_mask_goes_on(tmp_path):
+    old = init_state(init, optax.adamw(1e-2), ROOT, ema=True)
+    old = dataclasses.replace(old, step=jnp.int32(3), opt=jax.tree.map(lambda x: x + 1, old.opt))
+    with Checkpoints(tmp_path / "checkpoints") as checkpoints:
+        checkpoints.save(old, SIDE)
+        restored = checkpoints.restore_latest(template()).state
+    assert_same(restored.opt.inner_state, old.opt)
+    assert_same(restored.params, old.params)
+    assert int(train(restored, 4).step) == 4
+
+
+def test_side_comes_back_exactly(run):
+    with Checkpoints(run / "checkpoints") as checkpoints:
+        side = checkpoints.restore_latest(template()).side
+    assert side["seed"] == 0
+    assert side["data"] == "abc"
+    assert side["packages"]["jax"] == jax.__version__
+    assert side["stats"]["action_mean"].dtype == np.float32
+    np.testing.assert_array_equal(side["stats"]["action_mean"], STATS["action_mean"])
+    assert side["stats"]["n"].dtype == np.int64
+
+
+def test_policy_inputs_from_the_folder_alone(run):
+    shutil.rmtree(run / "checkpoints" / "2" / "train")  # The optimizer is not even looked at.
+    inputs = load_policy_inputs(run, step=2)
+    assert inputs.step == 2
+    assert inputs.config == CONFIG
+    assert Settings(**inputs.settings) == Settings()
+    assert Settings(**inputs.spec) == Settings(width=9)
+    np.testing.assert_array_equal(inputs.stats["action_mean"], STATS["action_mean"])
+    assert_same(inputs.params, train(fresh(), 2).ema)
+    assert load_policy_inputs(run).step == 3
+
+
+def test_policy_inputs_without_moving_average(tmp_path):
+    with Checkpoints(tmp_path / "checkpoints") as checkpoints:
+        checkpoints.save(state := fresh(ema=False), SIDE)
+    assert_same(load_policy_inputs(tmp_path).params, state.params)
+
+
+def test_no_such_checkpoint(run, tmp_path):
+    with pytest.raises(CheckpointError, match=r"No checkpoint of step 9 .* Known: 1, 2, 3"):
+        load_policy_inputs(run, step=9)
+    with pytest.raises(CheckpointError, match="Train first"):
+        load_policy_inputs(tmp_path / "nowhere")
+    assert not (tmp_path / "nowhere").exists()
+    with Checkpoints(tmp_path / "empty") as checkpoints:
+        assert checkpoints.restore_latest(template()) is None
+
+
+def test_keeps_the_newest_and_saves_a_step_once(tmp_path):
+    with Checkpoints(tmp_path / "checkpoints", keep=2) as checkpoints:
+        state = fresh()
+        for step in (1, 2, 3, 3):
+            state = train(state, step)
+            checkpoints.save(state, SIDE)
+        assert checkpoints.steps() == [2, 3]
+    assert checkpoint_steps(tmp_path) == [2, 3]
+
+
+def test_checkpoints_between_the_regular_ones_are_kept_until_the_next(tmp_path):
+    config = dataclasses.replace(CONFIG, save_every=2)
+    side = make_side(config, settings=Settings(), spec=Settings(), stats=STATS, data="abc")
+    found = []
+    with Checkpoints(tmp_path / "checkpoints", keep=2) as checkpoints:
+        state = fresh()
+        for step in (2, 3, 4, 5, 6, 7):
+            state = train(state, step)
+            checkpoints.save(state, side)
+            found.append(checkpoints.steps())
+    assert found == [[2], [2, 3], [2, 4], [2, 4, 5], [4, 6], [4, 6, 7]]
+    assert checkpoint_steps(tmp_path) == [4, 6, 7]
+
+
+def damage_flip(run):
+    flip_byte(data_files(run, 3, "params")[-1])
+
+
+def damage_flip_optimizer(run):
+    flip_byte(data_files(run, 3, "train")[-1], 0.7)
+
+
+def damage_truncate(run):
+    file = data_files(run, 3, "params")[-1]
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+
+
+def damage_missing_item(run):
+    shutil.rmtree(run / "checkpoints" / "3" / "params")
+
+
+def damage_side(run):
+    file = run / "checkpoints" / "3" / "manifest" / "metadata"
+    text = file.read_text()
+    assert '"seed": 0' in text
+    file.write_text(text.replace('"seed": 0', '"seed": 8'))
+
+
+def damage_manifest(run):
+    flip_byte(run / "checkpoints" / "3" / "manifest" / "metadata", 0.0)
+
+
+def damage_digests(run):
+    flip_byte(run / "checkpoints" / "3" / "files.json", 0.3)
+
+
+def damage_digests_torn(run):
+    file = run / "checkpoints" / "3" / "files.json"
+    file.write_text(file.read_text()[:-9])
+
+
+def damage_file_gone(run):
+    next((run / "checkpoints" / "3" / "train").rglob("_METADATA")).unlink()
+
+
+def damage_no_manifest(run):
+    shutil.rmtree(run / "checkpoints" / "3" / "manifest")
+
+
+def damage_wrong_step(run):
+    shutil.rmtree(run / "checkpoints" / "3")
+    shutil.copytree(run / "checkpoints" / "1", run / "checkpoints" / "3")
+
+
+DAMAGES = [v for k, v in globals().items() if k.startswith("damage_")]
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_damage_is_noticed_and_an_older_one_used(run, damage, caplog):
+    damage(run)
+    with caplog.at_level(logging.WARNING), Checkpoints(run / "checkpoints") as checkpoints:
+        restored = checkpoints.restore_latest(template())
+        assert "CHECKPOINT 3 IS DAMAGED" in caplog.text
+        assert_same(restored.state, train(fresh(), 2))
+        # The run goes on over the damaged step, which is kept aside.
+        checkpoints.save(train(restored.state, 3), SIDE)
+        assert checkpoints.steps() == [1, 2, 3]
+        assert (run / "damaged" / "3-0").is_dir()
+        assert_same(checkpoints.restore_latest(template()).state, train(fresh(), 3))
+
+
+def test_damage_named_when_that_step_is_asked_for(run):
+    flip_byte(data_files(run, 3, "ema")[-1])
+    with pytest.raises(CheckpointError, match=r"Checkpoint 3 .* ema/\S+ has changed|cannot be rea"):
+        load_policy_inputs(run, step=3)
+    assert load_policy_inputs(run).step == 2
+    assert checkpoint_steps(run) == [1, 2, 3]
+
+
+def test_nothing_whole_is_an_error_that_lists_why(run):
+    for step in (1, 2, 3):
+        shutil.rmtree(run / "checkpoints" / str(step) / "manifest")
+    with (
+        Checkpoints(run / "checkpoints") as checkpoints,
+        pytest.raises(CheckpointError, match=r"No checkpoint in .* is whole. 3: .*; 2: .*; 1: "),
+    ):
+        checkpoints.restore_latest(template())
+    assert checkpoint_steps(run) == [1, 2, 3]
+
+
+def test_thirty_flipped_bytes_are_all_noticed(run):
+    """Anywhere: in arrays, in what orbax writes around them, in the manifest, in the digests."""
+    folder = run / "checkpoints" / "3"
+    files = sorted(p for p in folder.rglob("*") if p.is_file())
+    assert len({p.relative_to(folder).parts[0] for p in files}) > 4
+    rng = np.random.default_rng(0)
+    for number in range(30):
+        file = files[number % len(files)]
+        before = file.read_bytes()
+        flip_byte(file, rng.random())
+        with pytest.raises(DamagedError):
+            read_all(folder)
+        file.write_bytes(before)
+    read_all(folder)
+
+
+def test_without_digests_of_files_arrays_are_still_compared(run):
+    """As after a kill between the commit of a checkpoint and its digests."""
+    folder = run / "checkpoints" / "3"
+    (folder / "files.json").rename(folder / "files.json.part")
+    _, leaves = read_all(folder)
+    for name, leaf in flatten(train(fresh(), 3)).items():
+        np.testing.assert_array_equal(leaves[name], leaf)
+    damage_flip(run)
+    with pytest.raises(DamagedError, match=r"params/\w+ has changed|cannot be read"):
+        read_all(folder)
+
+
+def test_a_disk_too_full_for_digests_does_not_lose_the_checkpoint(tmp_path, monkeypatch, caplog):
+    def full(folder):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(jaxcam.training.checkpoint, "write_digests", full)
+    with Checkpoints(tmp_path / "checkpoints") as checkpoints:
+        checkpoints.save(train(fresh(), 1), SIDE)
+        assert_same(checkpoints.restore_latest(template()).state, train(fresh(), 1))
+    assert "Checkpoint 1 is whole, its files have no digests" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            lambda p: {**p, "w": p["w"].astype(jnp.float16)},
+            r"params/w is float32 \(64, 5\), expecte",
+        ),
+        (lambda p: {**p, "w": p["w"][:3]}, r"params/w is float32 \(64, 5\), expected float32 \(3"),
+        (lambda p: {**p, "more": p["w"]}, "params/more is missing, expected float32"),
+        (lambda p: {"w": p["w"]}, r"params/deep/0/b is float32 \(5,\), expected nothing"),
+    ],
+)
+def test_other_policy_is_refused(run, change, message):
+    other = jax.eval_shape(lambda: dataclasses.replace(fresh(), params=change(fresh().params)))
+    with (
+        Checkpoints(run / "checkpoints") as checkpoints,
+        pytest.raises(CheckpointError, match=message),
+    ):
+        checkpoints.restore_latest(other)
+    assert checkpoint_steps(run) == [1, 2, 3]
+    assert not (run / "damaged").exists()
+
+
+def test_other_data_settings_or_convention_are_refused(run, monkeypatch):
+    with Checkpoints(run / "checkpoints") as checkpoints:
+        same = make_side(CONFIG, settings=Settings(), spec=Settings(9), stats=STATS, data="abc")
+        assert checkpoints.restore_latest(template(), expect=same)
+        with pytest.raises(CheckpointError, match=r"other data \('abc' -> 'xyz'\)"):
+            checkpoints.restore_latest(template(), expect={**same, "data": "xyz"})
+        other = make_side(CONFIG, settings=Settings(5), spec=Settings(9), stats={}, data="abc")
+        with pytest.raises(CheckpointError, match=r"other settings \(width: 4 -> 5\)"):
+            checkpoints.restore_latest(template(), expect=other)
+    monkeypatch.setattr(jaxcam.training.checkpoint, "CONVENTION", 2)
+    with pytest.raises(CheckpointError, match="conventions 1, this version of jaxcam has 2"):
+        load_policy_inputs(run)
+
+
+def test_other_packages_are_reported(run, monkeypatch, caplog):
+    monkeypatch.setattr(jaxcam.training.checkpoint, "package_versions", lambda: {"jax": "0.0.1"})
+    with caplog.at_level(logging.WARNING):
+        load_policy_inputs(run)
+    assert f"jax {jax.__version__} -> 0.0.1" in caplog.text
+
+
+def test_too_little_space_is_refused_before_writing(run, monkeypatch):
+    # Faked free space: filling a real disk is done below, where the system permits.
+    usage = shutil._ntuple_diskusage(10**9, 10**9, 1000)
+    monkeypatch.setattr(jaxcam.training.checkpoint.shutil, "disk_usage", lambda path: usage)
+    with Checkpoints(run / "checkpoints") as checkpoints:
+        with pytest.raises(CheckpointError, match=r"No space .* 4 .* last whole checkpoint is 3"):
+            checkpoints.save(train(fresh(), 4), SIDE)
+        assert checkpoints.steps() == [1, 2, 3]
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(disk)]
+    if os.geteuid() or subprocess.run(command, capture_output=True).returncode:
+        pytest.skip("mounting a small file system needs root")
+    yield disk
+    subprocess.run(["umount", "--lazy", str(disk)], check=True)
+
+
+@pytest.mark.parametrize("check_space", [True, False])
+def test_real_disk_full(small_disk, monkeypatch, check_space):
+    if not check_space:  # Space that vanishes between the check and the write.
+        monkeypatch.setattr(jaxcam.training.checkpoint, "SPACE_FACTOR", 0)
+    big = fresh()
+    big = dataclasses.replace(big, params={**big.params, "big": jnp.asarray(np.random.default_rng(
+        0).normal(size=(500, 500)).astype(np.float32))})  # fmt: skip
+    with Checkpoints(small_disk / "checkpoints") as checkpoints:
+        checkpoints.save(big, SIDE)
+        later = dataclasses.replace(big, step=jnp.int32(1))
+        pattern = "No space" if check_space else "could not be written"
+        with pytest.raises(CheckpointError, match=f"{pattern}.*last whole checkpoint is 0"):
+            checkpoints.save(later, SIDE)
+        assert [p.name for p in (small_disk / "checkpoints").iterdir()] == ["0"]
+        assert_same(checkpoints.restore_latest(jax.eval_shape(lambda: big)).state, big)
+
+
+def test_kill_while_saving(tmp_path):
+    """A writer killed at any moment leaves whole checkpoints only."""
+    script = textwrap.dedent("""
+        import sys, dataclasses
+        import jax.numpy as jnp
+        sys.path.insert(0, sys.argv[1])
+        from test_checkpoint import Checkpoints, SIDE, fresh
+        big = dataclasses.replace(fresh(), ema={"big": jnp.ones((1000, 1000))})
+        with Checkpoints(sys.argv[2], keep=3) as checkpoints:
+            for step in range(1, 10000):
+                ema = {"big": big.ema["big"] * step}
+                state = dataclasses.replace(big, step=jnp.int32(step), ema=ema)
+                print("saving", flush=True)
+                checkpoints.save(state, SIDE)
+    """)
+    folder = tmp_path / "checkpoints"
+    for delay in (0.01, 0.04):
+        command = [sys.executable, "-c", script, str(TESTS), str(folder)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            for _ in range(len(checkpoint_steps(tmp_path)) + 3):
+                assert process.stdout.readline()
+            with pytest.raises(subprocess.TimeoutExpired):
+                process.wait(delay)
+            process.send_signal(signal.SIGKILL)
+        with Checkpoints(folder) as checkpoints:
+            big = dataclasses.replace(fresh(), ema={"big": jnp.ones((1000, 1000))})
+            state = checkpoints.restore_latest(jax.eval_shape(lambda big=big: big)).state
+            assert (state.ema["big"] == state.step).all()
+            assert int(state.step) == checkpoints.steps()[-1]
+        assert not list(folder.glob("*tmp*"))
+    assert not (tmp_path / "damaged").exists()
+
+
+def test_stale_half_written_checkpoints_are_removed(run):
+    stale = run / "checkpoints" / "4.orbax-checkpoint-tmp"
+    (stale / "params").mkdir(parents=True)
+    with Checkpoints(run / "checkpoints") as checkpoints:
+        assert not stale.exists()
+        assert checkpoints.steps() == [1, 2, 3]
