@@ -88,7 +88,7 @@ def _write(
 ) -> None:
     views = [f"view_{v}" for v in range(len(data.windows[chosen[0]]))]
     features = _features(config, data, views)
-    instruction = config.instruction or demos.header.task.replace("_", " ")
+    instruction = config.instruction or make_task(demos.header.task).prompt
     total = int(data.lengths[list(chosen)].sum())
     with (
         Writer(root, features, CONTROL_HZ, instruction) as writer,

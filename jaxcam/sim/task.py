@@ -47,6 +47,8 @@ class Task(ABC):
     """
 
     name: ClassVar[str]
+    prompt: ClassVar[str]
+    """The task in words, for policies that read; the authors'."""
     horizon: ClassVar[int]
     """Control steps after which an episode has failed."""
     views: ClassVar[int]

@@ -27,6 +27,7 @@ class Lift(TableTask):
     """Lift (paper, section IV-A; robosuite's `Lift`, the authors' `LiftRand`)."""
 
     name: ClassVar[str] = "lift"
+    prompt: ClassVar[str] = "Lift the cube"
     horizon: ClassVar[int] = 150
     views: ClassVar[int] = 1
     stair: ClassVar[tuple[int, int]] = (3, 1)

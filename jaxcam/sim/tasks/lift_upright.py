@@ -33,6 +33,7 @@ class LiftUpright(ManiSkillTask):
     """Lift Upright (paper, section IV-A; ManiSkill's `LiftPegUpright`, the authors' variant)."""
 
     name: ClassVar[str] = "lift_upright"
+    prompt: ClassVar[str] = "Lift the peg upright"
     env: ClassVar[str] = "JaxcamLiftUpright-v1"
     horizon: ClassVar[int] = 450
     views: ClassVar[int] = 1

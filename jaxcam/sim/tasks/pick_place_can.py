@@ -35,6 +35,7 @@ class PickPlaceCan(TableTask):
     """Pick Place Can (paper, section IV-A; robosuite's can, the authors' `CanRand`)."""
 
     name: ClassVar[str] = "pick_place_can"
+    prompt: ClassVar[str] = "Move the can to the target"
     horizon: ClassVar[int] = 600
     views: ClassVar[int] = 2
     stair: ClassVar[tuple[int, int]] = (4, 2)

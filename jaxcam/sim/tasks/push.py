@@ -32,6 +32,7 @@ class Push(ManiSkillTask):
     """Push (paper, section IV-A; ManiSkill's `PushCube`, the authors' `PushCubeRand`)."""
 
     name: ClassVar[str] = "push"
+    prompt: ClassVar[str] = "Push the cube to the target"
     env: ClassVar[str] = "JaxcamPush-v1"
     horizon: ClassVar[int] = 150
     views: ClassVar[int] = 1

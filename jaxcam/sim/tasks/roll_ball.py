@@ -33,6 +33,7 @@ class RollBall(ManiSkillTask):
     """Roll Ball (paper, section IV-A; ManiSkill's `RollBall`, the authors' `RollBallRand`)."""
 
     name: ClassVar[str] = "roll_ball"
+    prompt: ClassVar[str] = "Roll the ball to the target"
     env: ClassVar[str] = "JaxcamRollBall-v1"
     horizon: ClassVar[int] = 150
     views: ClassVar[int] = 2

@@ -66,6 +66,7 @@ class Square(TableTask):
     """Assembly Square (paper, section IV-A; robosuite's nut, the authors' `SquareRand`)."""
 
     name: ClassVar[str] = "square"
+    prompt: ClassVar[str] = "Pick up the square nut and insert the peg into it"
     horizon: ClassVar[int] = 600
     views: ClassVar[int] = 2
     stair: ClassVar[tuple[int, int]] = (4, 2)
