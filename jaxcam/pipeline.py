@@ -3,7 +3,6 @@
 Whatever exists is used; whatever was interrupted goes on when the same command is run again.
 """
 
-import dataclasses
 import shlex
 import sys
 from collections.abc import Sequence
@@ -15,7 +14,7 @@ import jax
 import numpy as np
 from rich.console import Console
 
-from jaxcam.config.datasets import CollectConfig
+from jaxcam.config.datasets import collect_config
 from jaxcam.config.fields import to_json
 from jaxcam.config.train import TrainConfig
 from jaxcam.data.batches import Dataset, make_dataset
@@ -116,12 +115,6 @@ def _like_its_dataset(config: TrainConfig) -> TrainConfig:
                 f"Leave --{name} out: a dataset brings its own."
             )
     return replace(config, **counts)
-
-
-def collect_config(config: TrainConfig) -> CollectConfig:
-    """The dataset a run trains on; every training seed shares it."""
-    names = [f.name for f in dataclasses.fields(CollectConfig) if f.name != "seed"]
-    return CollectConfig(**{name: getattr(config, name) for name in names})
 
 
 def _dataset(configs: Sequence[TrainConfig], console: Console | None) -> Dataset:

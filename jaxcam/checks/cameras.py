@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxcam.checks.findings import Finding, some
+from jaxcam.checks.findings import Finding, bad, good, note, some
 from jaxcam.data.demos import Demos
 from jaxcam.errors import CameraError
 from jaxcam.rays import invert, opencv_from_opengl
@@ -146,8 +146,8 @@ def check_poses(demos: Demos) -> Finding:
     try:
         check_pose("cameras/world_from_camera", poses)
     except CameraError as error:
-        return Finding("camera poses", "bad", str(error), fix="Write those cameras anew.")
-    return Finding("camera poses", "good", f"{len(poses)} rigid transforms")
+        return bad("camera poses", got=str(error), fix="Write those cameras anew.")
+    return good("camera poses", got=f"{len(poses)} rigid transforms")
 
 
 def check_cameras(demos: Demos) -> Finding:
@@ -162,17 +162,19 @@ def check_cameras(demos: Demos) -> Finding:
     flagged = np.any(list(found.values()), 0)
     if not flagged.any():
         inside = f"{len(seen.rows)} cameras have the grip in their pictures"
-        return Finding(what, "good", inside)
+        return good(what, got=inside)
     told = ", ".join(f"{why} {mask.sum()}" for why, mask in found.items() if mask.any())
     got = f"{flagged.sum()} of {len(flagged)} cameras are odd: {told}"
     where = some(seen.rows[flagged].tolist())
     if flagged.mean() <= TOLERATED:
-        return Finding(what, "note", got, expected, where, "Look at the pictures of those.")
+        return note(
+            what, got=got, expected=expected, where=where, fix="Look at the pictures of those."
+        )
     base = make_task(demos.header.task).scene(demos.header.scene).world_from_base
     cause = likely_cause(seen, base)
     unknown = "No usual mix-up of conventions explains it: look at the pictures."
     fix = f"Likely cause: {cause}." if cause else unknown
-    return Finding(what, "bad", got, expected, where, fix)
+    return bad(what, got=got, expected=expected, where=where, fix=fix)
 
 
 def require_possible(demos: Demos) -> None:

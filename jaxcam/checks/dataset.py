@@ -9,7 +9,7 @@ import numpy as np
 from rich.console import Console
 
 from jaxcam.checks.cameras import check_cameras, check_poses
-from jaxcam.checks.findings import Finding, some
+from jaxcam.checks.findings import Finding, bad, good, note, some
 from jaxcam.checks.held_out import check_field_of_view, check_held_out, check_ranges
 from jaxcam.checks.numbers import (
     check_commands,
@@ -49,16 +49,16 @@ def read(path: Path) -> tuple[Demos | None, list[Finding]]:
             errors = faults_of(path) or errors
         except DatasetError as whole:
             errors = [whole]
-        listed = [Finding("file", "bad", str(e)) for e in errors[:LISTED]]
+        listed = [bad("file", got=str(e)) for e in errors[:LISTED]]
         if (rest := len(errors) - LISTED) > 0:
-            listed.append(Finding("file", "bad", f"and {rest} more such"))
+            listed.append(bad("file", got=f"and {rest} more such"))
         return None, listed
     header = demos.header
     got = (
         f"{len(demos.train)} training and {len(demos.valid)} validation demonstrations of "
         f"{header.task}, {header.scene}; content {demos.fingerprint}"
     )
-    return demos, [Finding("file", "good", got)]
+    return demos, [good("file", got=got)]
 
 
 def check_content(demos: Demos, scene: World) -> Iterator[Finding]:
@@ -102,27 +102,22 @@ def check_physics(
             fix = "Likely cause: the gripper's sign is turned round. Positive closes."
     for space, success in found.items():
         failed = [f"demo_{i}" for i in rows[~success]]
-        good = success.mean() >= GATE
-        yield Finding(
-            f"replay, {space}",
-            "good" if good else "bad",
-            f"{success.sum()} of {len(rows)} succeed",
-            "" if good else f"at least {GATE:.0%}",
-            some(failed),
-            "" if good else fix,
-        )
+        what, got = f"replay, {space}", f"{success.sum()} of {len(rows)} succeed"
+        if success.mean() >= GATE:
+            yield good(what, got=got, where=some(failed))
+        else:
+            yield bad(what, got=got, expected=f"at least {GATE:.0%}", where=some(failed), fix=fix)
 
 
 def _sizes(demos: Demos, scene: World) -> Finding:
     """Whether states are of this scene as it is built here."""
     header = demos.header
     if (header.nq, header.nv) == (scene.nq, scene.nv):
-        return Finding("states", "good", f"{header.nq} positions and {header.nv} velocities")
-    return Finding(
+        return good("states", got=f"{header.nq} positions and {header.nv} velocities")
+    return bad(
         "states",
-        "bad",
-        f"{header.nq} positions and {header.nv} velocities",
-        f"{scene.nq} and {scene.nv}, as {header.task} has here",
+        got=f"{header.nq} positions and {header.nv} velocities",
+        expected=f"{scene.nq} and {scene.nv}, as {header.task} has here",
         fix=f"The simulator's models changed since; it was made with {header.versions}.",
     )
 
@@ -133,7 +128,7 @@ def _duplicates(demos: Demos) -> Finding:
     same = [*_twins(every, lambda d: d.states.tobytes() + d.actions.tobytes())]
     seeds = [*_twins(every, lambda d: str(d.seed).encode())]
     if not same and not seeds:
-        return Finding("duplicates", "good", f"all {len(every)} demonstrations differ")
+        return good("duplicates", got=f"all {len(every)} demonstrations differ")
     train = len(demos.train)
     leaks = [pair for pair in same if min(pair) < train <= max(pair)]
     got = f"{len(same)} are copies of earlier ones"
@@ -142,8 +137,14 @@ def _duplicates(demos: Demos) -> Finding:
     if len(seeds) > len(same):
         got += f"; {len(seeds) - len(same)} more share an episode's seed"
     pairs = [f"demo_{i} = demo_{k}" for i, k in same or seeds]
-    mark = "bad" if same else "note"
-    return Finding("duplicates", mark, got, "none", some(pairs), "Leave the copies out.")
+    finding = bad if same else note
+    return finding(
+        "duplicates",
+        got=got,
+        expected="none",
+        where=some(pairs),
+        fix="Leave the copies out.",
+    )
 
 
 def _twins(every: Sequence[Demo], key: Callable[[Demo], bytes]) -> Iterator[tuple[int, int]]:
@@ -167,7 +168,7 @@ def _grip(demos: Sequence[Demo], rows: np.ndarray, task: Task, scene: World) -> 
     apart = np.linalg.norm(there - [d.eef_pos[0] for d in demos], axis=-1)
     got = f"within {apart.max() * 1000:.2g} mm of where the joints put it"
     if apart.max() <= APART:
-        return Finding("grip", "good", got)
+        return good("grip", got=got)
     where = some([f"demo_{i}" for i in rows[apart > APART]])
     fix = "obs/robot0_eef_pos is the grip site in the world, in metres; states are of this robot."
-    return Finding("grip", "bad", got, f"within {APART * 1000:g} mm", where, fix)
+    return bad("grip", got=got, expected=f"within {APART * 1000:g} mm", where=where, fix=fix)

@@ -15,7 +15,7 @@ import h5py
 from rich.console import Console
 
 from jaxcam.checks.dataset import check_content, check_physics, read
-from jaxcam.checks.findings import Finding, show, worst
+from jaxcam.checks.findings import bad, note, show, worst
 from jaxcam.checks.machine import check_env
 from jaxcam.checks.numbers import statistics
 from jaxcam.checks.page import Report, draw_figures, write_page
@@ -53,7 +53,7 @@ def check_dataset(path: Path, count: int, console: Console | None = None) -> Rep
                 findings += check_caches(demos, task, scene, count)
                 overlays = draw_overlays(demos, task, scene, count)
         except SimError as error:
-            findings.append(Finding("replay and pictures", "note", "not looked at", fix=str(error)))
+            findings.append(note("replay and pictures", got="not looked at", fix=str(error)))
     return Report(
         title=f"{task.name}, {scene.name}",
         subtitle=path.name,
@@ -79,7 +79,7 @@ def check_foreign(
         try:
             demos = importer(Path(folder) / "imported.hdf5")
         except DatasetError as error:
-            finding = Finding("file", "bad", str(error))
+            finding = bad("file", got=str(error))
             return Report(path.name, "It cannot be imported.", [finding])
         report = check_dataset(demos.path, count, console)
     about = demos.header.versions["imported"]

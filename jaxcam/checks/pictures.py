@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxcam.checks.findings import Finding, some
+from jaxcam.checks.findings import Finding, bad, good, note, some
 from jaxcam.checks.overlays import PIXELS, Moment, chosen, draw, draw_over, moments, sheet
 from jaxcam.data.demos import Demos
 from jaxcam.data.pictures import Frames, is_blank, open_frames
@@ -45,7 +45,7 @@ def check_caches(demos: Demos, task: Task, scene: World, count: int) -> Iterator
     pattern = re.compile(re.escape(stem) + r"-([0-9a-f]{16})-(\d+)px-(.+)\.(?:npy|part)")
     matches = [m for p in sorted(folder.glob("*")) if (m := pattern.fullmatch(p.name))]
     if not matches:
-        yield Finding("pictures", "good", "none are cached; training draws them")
+        yield good("pictures", got="none are cached; training draws them")
     for match in matches:
         path, (fingerprint, side, look) = folder / match.string, match.groups()
         what = f"pictures, {side} px"
@@ -54,10 +54,9 @@ def check_caches(demos: Demos, task: Task, scene: World, count: int) -> Iterator
             if fingerprint == demos.fingerprint:
                 other = f"by another renderer, {look}"
             size = path.stat().st_blocks * 512 / 1e6
-            yield Finding(
+            yield note(
                 what,
-                "note",
-                f"drawn {other}: not used",
+                got=f"drawn {other}: not used",
                 where=path.name,
                 fix=f"Delete it to have {size:.0f} MB back.",
             )
@@ -65,10 +64,10 @@ def check_caches(demos: Demos, task: Task, scene: World, count: int) -> Iterator
         try:
             frames = open_frames(path, demos, int(side))
         except JaxcamError as error:
-            yield Finding(what, "bad", str(error), where=path.name)
+            yield bad(what, got=str(error), where=path.name)
             continue
         if not frames.drawn.any():
-            yield Finding(what, "note", "none drawn yet", where=path.name)
+            yield note(what, got="none drawn yet", where=path.name)
             continue
         yield _blank(what, path, frames)
         yield _compared(what, path, frames, demos, task, scene, count)
@@ -110,16 +109,15 @@ def _blank(what: str, path: Path, frames: Frames) -> Finding:
     if not blank and not frozen:
         total, drawn = len(frames.drawn), frames.drawn.sum()
         got = f"{total} frames" if drawn == total else f"{drawn} of {total} frames are drawn"
-        return Finding(what, "good", f"{got}; of {len(rows)} looked at none is blank")
+        return good(what, got=f"{got}; of {len(rows)} looked at none is blank")
     where = some([f"frame {row}" for row in blank] + [f"demo_{i}" for i in frozen])
     got = f"{len(blank)} of {len(rows)} frames are blank; {len(frozen)} demonstrations stand still"
-    return Finding(
+    return bad(
         what,
-        "bad",
-        got,
-        "pictures of what moves",
-        where,
-        f"A renderer failed. Delete {path}; it is drawn anew.",
+        got=got,
+        expected="pictures of what moves",
+        where=where,
+        fix=f"A renderer failed. Delete {path}; it is drawn anew.",
     )
 
 
@@ -132,18 +130,17 @@ def _compared(
     theirs = frames.pictures[rows]
     apart = _apart(ours, theirs)
     if apart.max() <= ALIKE:
-        return Finding(what, "good", f"{len(ours)} drawn anew are the same")
+        return good(what, got=f"{len(ours)} drawn anew are the same")
     causes = [words for words, turn in TURNS.items() if _apart(turn(ours), theirs).max() <= ALIKE]
     cause = f"Likely cause: {causes[0]}. " if causes else ""
     where = some([f"demo_{m.row}" for m, a in zip(shown, apart, strict=True) if a > ALIKE])
     got = f"{(apart > ALIKE).sum()} of {len(ours)} differ from states and cameras"
-    return Finding(
+    return bad(
         what,
-        "bad",
-        got,
-        f"a mean difference of at most {ALIKE:g} levels",
-        where,
-        f"{cause}Delete {path}; it is drawn anew.",
+        got=got,
+        expected=f"a mean difference of at most {ALIKE:g} levels",
+        where=where,
+        fix=f"{cause}Delete {path}; it is drawn anew.",
     )
 
 

@@ -1,6 +1,6 @@
 """Settings of the commands that make datasets, replay them or carry them to other formats."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated
 
 import tyro
@@ -46,6 +46,12 @@ class CollectConfig:
         check_least(self, 1, "demos n")
         check_least(self, 0, "validation m seed")
         check_window(self.n, self.m)
+
+
+def collect_config(config: TrainConfig) -> CollectConfig:
+    """The dataset a run trains on; every training seed shares it."""
+    names = [f.name for f in fields(CollectConfig) if f.name != "seed"]
+    return CollectConfig(**{name: getattr(config, name) for name in names})
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from running import exit_code
 
 from jaxcam.checks import machine as env_module
 from jaxcam.checks.examine import examine
-from jaxcam.checks.findings import Finding, some, worst
+from jaxcam.checks.findings import bad, some, worst
 from jaxcam.checks.overlays import (
     AXES,
     PATH,
@@ -373,6 +373,6 @@ def test_clock_and_file_names(monkeypatch):
 def test_a_bad_machine_ends_with_1(monkeypatch, capsys):
     from jaxcam.checks import examine as check
 
-    monkeypatch.setattr(check, "check_env", lambda: iter([Finding("host", "bad", "no clock")]))
+    monkeypatch.setattr(check, "check_env", lambda: iter([bad("host", got="no clock")]))
     assert exit_code("check", "--env") == 1
     assert "no clock" in capsys.readouterr().out
