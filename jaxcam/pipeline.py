@@ -14,7 +14,7 @@ import jax
 import numpy as np
 from rich.console import Console
 
-from jaxcam.config.datasets import collect_config
+from jaxcam.config.datasets import CollectConfig
 from jaxcam.config.fields import to_json
 from jaxcam.config.train import TrainConfig
 from jaxcam.data.batches import Dataset, make_dataset
@@ -125,7 +125,7 @@ def _dataset(configs: Sequence[TrainConfig], console: Console | None) -> Dataset
     if config.dataset:
         demos = read_demos(Path(config.dataset), task=config.task, scene=config.scene)
     else:
-        demos = collect(collect_config(config), console)
+        demos = collect(CollectConfig.of(config), console)
     samples = Samples(Layout.of(demos), len(demos.train))
     seeds, obs_steps = [c.seed for c in configs], policy_settings(config).obs_steps
     wanted = samples.wanted(seeds, config.steps, config.batch, config.views, obs_steps)

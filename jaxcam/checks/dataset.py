@@ -9,7 +9,7 @@ import numpy as np
 from rich.console import Console
 
 from jaxcam.checks.cameras import check_cameras, check_poses
-from jaxcam.checks.findings import Finding, bad, good, note, some
+from jaxcam.checks.findings import Finding, bad, good, note
 from jaxcam.checks.held_out import check_field_of_view, check_held_out, check_ranges
 from jaxcam.checks.numbers import (
     check_commands,
@@ -20,6 +20,7 @@ from jaxcam.checks.numbers import (
 )
 from jaxcam.checks.overlays import chosen
 from jaxcam.console.progress import progress
+from jaxcam.console.words import some
 from jaxcam.data.demos import Demo, Demos, faults_of, read_demos
 from jaxcam.data.replay import GATE, replay_all
 from jaxcam.errors import DatasetError

@@ -5,7 +5,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxcam.checks.findings import Finding, bad, good, note, some
+from jaxcam.checks.findings import Finding, bad, good, note
+from jaxcam.console.words import some
 from jaxcam.errors import JaxcamError
 from jaxcam.files.jsonl import read_jsonl
 from jaxcam.results.stats import USUAL, Row, is_finished, latest_rows

@@ -52,12 +52,6 @@ def worst(findings: Iterable[Finding]) -> Mark:
     return "bad" if "bad" in marks else "note" if "note" in marks else "good"
 
 
-def some(names: Sequence[object], most: int = 5) -> str:
-    """The first `most` names of a list, and how many more there are."""
-    rest = len(names) - most
-    return ", ".join(map(str, names[:most])) + (f" and {rest} more" if rest > 0 else "")
-
-
 def show(findings: Sequence[Finding], console: Console) -> None:
     """Prints findings as a table, and below it how to mend what is not good."""
     table = Table("what", "", "found")

@@ -3,7 +3,8 @@
 import numpy as np
 from scipy.spatial import KDTree
 
-from jaxcam.checks.findings import Finding, bad, good, note, some
+from jaxcam.checks.findings import Finding, bad, good, note
+from jaxcam.console.words import some
 from jaxcam.data.demos import Demos
 from jaxcam.data.pairs import SPLITS
 from jaxcam.rays import sample_poses, spherical

@@ -4,8 +4,9 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from jaxcam.checks.findings import Finding, bad, good, note, some
+from jaxcam.checks.findings import Finding, bad, good, note
 from jaxcam.checks.held_out import camera_numbers
+from jaxcam.console.words import some
 from jaxcam.data.demos import Demo, Demos
 from jaxcam.sim.controllers import CONTROL_HZ
 

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxcam.checks.findings import Finding, bad, good, note, some
+from jaxcam.checks.findings import Finding, bad, good, note
 from jaxcam.checks.overlays import PIXELS, Moment, chosen, draw, draw_over, moments, sheet
+from jaxcam.console.words import some
 from jaxcam.data.demos import Demos
 from jaxcam.data.pictures import Frames, is_blank, open_frames
 from jaxcam.errors import JaxcamError

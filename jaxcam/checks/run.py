@@ -9,11 +9,12 @@ from typing import Any
 from rich.console import Console
 
 from jaxcam.checks.evaluations import check_evaluations
-from jaxcam.checks.findings import Finding, bad, good, note, some
-from jaxcam.config.datasets import collect_config
+from jaxcam.checks.findings import Finding, bad, good, note
+from jaxcam.config.datasets import CollectConfig
 from jaxcam.config.fields import from_json
 from jaxcam.config.train import TrainConfig
 from jaxcam.console.progress import progress
+from jaxcam.console.words import some
 from jaxcam.data.collection import dataset_path
 from jaxcam.data.demos import read_demos
 from jaxcam.errors import JaxcamError
@@ -122,7 +123,7 @@ def _set_aside(folder: Path) -> Iterator[Finding]:
 def _dataset(folder: Path, config: TrainConfig, checkpoints: Verified) -> Finding:
     """Whether the demonstrations are where the run found them, and still the same."""
     what = "dataset"
-    path = Path(config.dataset) if config.dataset else dataset_path(collect_config(config))
+    path = Path(config.dataset) if config.dataset else dataset_path(CollectConfig.of(config))
     if not path.exists():
         # Relative to where the run was started, if its folder still is where it was made.
         depth = len(Path(config.run_dir).parts)

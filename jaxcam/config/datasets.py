@@ -1,7 +1,7 @@
 """Settings of the commands that make datasets, replay them or carry them to other formats."""
 
 from dataclasses import dataclass, fields
-from typing import Annotated
+from typing import Annotated, Self
 
 import tyro
 
@@ -40,18 +40,18 @@ class CollectConfig:
     data_dir: str = "data"
     """Folder of the datasets."""
 
+    @classmethod
+    def of(cls, config: TrainConfig) -> Self:
+        """The dataset that a run trains on; every training seed shares it."""
+        names = [f.name for f in fields(cls) if f.name != "seed"]
+        return cls(**{name: getattr(config, name) for name in names})
+
     def __post_init__(self) -> None:
         check_types(self)
         check_names(self)
         check_least(self, 1, "demos n")
         check_least(self, 0, "validation m seed")
         check_window(self.n, self.m)
-
-
-def collect_config(config: TrainConfig) -> CollectConfig:
-    """The dataset a run trains on; every training seed shares it."""
-    names = [f.name for f in fields(CollectConfig) if f.name != "seed"]
-    return CollectConfig(**{name: getattr(config, name) for name in names})
 
 
 @dataclass(frozen=True)

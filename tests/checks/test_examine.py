@@ -18,7 +18,7 @@ from running import exit_code
 
 from jaxcam.checks import machine as env_module
 from jaxcam.checks.examine import examine
-from jaxcam.checks.findings import bad, some, worst
+from jaxcam.checks.findings import bad, worst
 from jaxcam.checks.overlays import (
     AXES,
     PATH,
@@ -35,6 +35,7 @@ from jaxcam.checks.page import write_png
 from jaxcam.checks.run import check_run
 from jaxcam.config.fields import to_json
 from jaxcam.config.train import TrainConfig
+from jaxcam.console.words import some
 from jaxcam.errors import ConfigError, SimError
 from jaxcam.rays import Camera
 from jaxcam.runs.identity import resolve
