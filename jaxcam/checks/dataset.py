@@ -33,9 +33,9 @@ from jaxcam.sim.world import World
 APART = 1e-3
 """Distance (m) up to which the recorded grip is where the recorded joints put it."""
 LISTED = 10
-"""Demonstrations that are told one by one of those that cannot be used."""
+"""Faults of a file that are listed one by one."""
 REPLAY_FIX = """Commands, gripper sign, object poses or the task are not what was recorded; \
-python -m jaxcam.replay tells of every demonstration."""
+python -m jaxcam.replay lists the demonstrations that fail."""
 GRIPPER_TURNED = np.array([1, 1, 1, 1, 1, 1, -1])
 """What an action is multiplied by to open where it closed."""
 
@@ -48,8 +48,8 @@ def read(path: Path) -> tuple[Demos | None, list[Finding]]:
         errors = [error]
         try:
             errors = faults_of(path) or errors
-        except DatasetError as whole:
-            errors = [whole]
+        except DatasetError as of_the_file:
+            errors = [of_the_file]
         listed = [bad("file", got=str(e)) for e in errors[:LISTED]]
         if (rest := len(errors) - LISTED) > 0:
             listed.append(bad("file", got=f"and {rest} more such"))
@@ -63,7 +63,7 @@ def read(path: Path) -> tuple[Demos | None, list[Finding]]:
 
 
 def check_content(demos: Demos, scene: World) -> Iterator[Finding]:
-    """What can be told without a simulator."""
+    """Checks that need no simulator."""
     yield _sizes(demos, scene)
     yield _duplicates(demos)
     yield check_held_out(demos)
@@ -73,35 +73,35 @@ def check_content(demos: Demos, scene: World) -> Iterator[Finding]:
         yield check_cameras(demos)
         yield check_ranges(demos)
     yield check_field_of_view(demos)
-    every = demos.train + demos.valid
+    episodes = demos.train + demos.valid
     for check in (check_lengths, check_commands, check_gripper, check_constants, check_rate):
-        yield check(every)
+        yield check(episodes)
 
 
 def check_physics(
     demos: Demos, task: Task, scene: World, count: int, console: Console | None = None
 ) -> Iterator[Finding]:
-    """What a simulator tells of some demonstrations; it must be there.
+    """Replays some demonstrations, for which this machine must have their simulator.
 
     Args:
-        demos: the dataset.
-        task: of the demonstrations.
-        scene: of the demonstrations.
-        count: demonstrations that are replayed.
-        console: for progress; silent when None.
+        demos: The dataset.
+        task: Of the demonstrations.
+        scene: Of the demonstrations.
+        count: Demonstrations that are replayed.
+        console: For progress; silent when None.
     """
-    every = demos.train + demos.valid
-    rows = chosen(len(every), count)
-    some_demos = [every[i] for i in rows]
-    yield _grip(some_demos, rows, task, scene)
+    episodes = demos.train + demos.valid
+    rows = chosen(len(episodes), count)
+    replayed = [episodes[i] for i in rows]
+    yield _grip(replayed, rows, task, scene)
     with progress(console, "replaying", len(rows) * len(ACTION_SPACES)) as advance:
-        found = replay_all(some_demos, task, scene, tick=advance)
+        successes = replay_all(replayed, task, scene, tick=advance)
     fix = REPLAY_FIX
-    if not found["eef_abs"].any():
-        turned = [replace(d, actions=d.actions * GRIPPER_TURNED) for d in some_demos]
+    if not successes["eef_abs"].any():
+        turned = [replace(d, actions=d.actions * GRIPPER_TURNED) for d in replayed]
         if replay_all(turned, task, scene, ["eef_abs"])["eef_abs"].all():
             fix = "Likely cause: the gripper's sign is turned round. Positive closes."
-    for space, success in found.items():
+    for space, success in successes.items():
         failed = [f"demo_{i}" for i in rows[~success]]
         what, got = f"replay, {space}", f"{success.sum()} of {len(rows)} succeed"
         if success.mean() >= GATE:
@@ -125,11 +125,11 @@ def _sizes(demos: Demos, scene: World) -> Finding:
 
 def _duplicates(demos: Demos) -> Finding:
     """Whether a demonstration is there twice."""
-    every = demos.train + demos.valid
-    same = [*_twins(every, lambda d: d.states.tobytes() + d.actions.tobytes())]
-    seeds = [*_twins(every, lambda d: str(d.seed).encode())]
+    episodes = demos.train + demos.valid
+    same = [*_twins(episodes, lambda d: d.states.tobytes() + d.actions.tobytes())]
+    seeds = [*_twins(episodes, lambda d: str(d.seed).encode())]
     if not same and not seeds:
-        return good("duplicates", got=f"all {len(every)} demonstrations differ")
+        return good("duplicates", got=f"all {len(episodes)} demonstrations differ")
     train = len(demos.train)
     leaks = [pair for pair in same if min(pair) < train <= max(pair)]
     got = f"{len(same)} are copies of earlier ones"
@@ -148,10 +148,10 @@ def _duplicates(demos: Demos) -> Finding:
     )
 
 
-def _twins(every: Sequence[Demo], key: Callable[[Demo], bytes]) -> Iterator[tuple[int, int]]:
-    """Each demonstration whose key an earlier one has, after that."""
+def _twins(episodes: Sequence[Demo], key: Callable[[Demo], bytes]) -> Iterator[tuple[int, int]]:
+    """Rows of each demonstration whose key an earlier one has: the earlier one, then its own."""
     first: dict[bytes, int] = {}
-    for i, demo in enumerate(every):
+    for i, demo in enumerate(episodes):
         digest = hashlib.sha256(key(demo)).digest()
         if first.setdefault(digest, i) != i:
             yield first[digest], i

@@ -1,6 +1,6 @@
 """`python -m jaxcam.check DATASET|RUN|--env`: the doctor of datasets, runs and machines.
 
-It looks and changes nothing. What it finds is told in a table and on a page beside what was
+It looks and changes nothing. Its findings are shown in a table and on a page beside what was
 checked; the exit code is 1 if something must be mended.
 """
 
@@ -33,9 +33,9 @@ def check_dataset(path: Path, count: int, console: Console | None = None) -> Rep
     """Examines a dataset of ours.
 
     Args:
-        path: of the file.
-        count: demonstrations that are replayed, drawn and compared with cached pictures.
-        console: for progress; silent when None.
+        path: Of the file.
+        count: Demonstrations that are replayed, drawn and compared with cached pictures.
+        console: For progress; silent when None.
     """
     demos, findings = read(path)
     if demos is None:
@@ -70,10 +70,10 @@ def check_foreign(
     """Examines what becomes of somebody else's file when it is imported; nothing of that is kept.
 
     Args:
-        path: of the file.
-        count: see `check_dataset`.
-        console: for progress; silent when None.
-        importer: writes the file's demonstrations as a dataset of ours to a path.
+        path: Of the file.
+        count: See `check_dataset`.
+        console: For progress; silent when None.
+        importer: Writes the file's demonstrations as a dataset of ours to a path.
     """
     with TemporaryDirectory() as folder:
         try:

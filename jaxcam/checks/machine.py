@@ -11,11 +11,14 @@ from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 
+import jax
+
 from jaxcam.checks.findings import Finding, bad, good, note
 from jaxcam.config.presets import NAMES
 from jaxcam.errors import SimError
 from jaxcam.sim import make_task
 from jaxcam.sim.maniskill import machine
+from jaxcam.sim.maniskill.pool import pool_of
 from jaxcam.sim.maniskill.task import ManiSkillTask
 
 EXTRAS = {
@@ -32,7 +35,7 @@ YEAR = 2025
 
 
 def check_env() -> Iterator[Finding]:
-    """What of this machine matters, one by one; the last takes seconds."""
+    """What matters of this machine, one thing at a time; the last takes seconds."""
     names = ("jaxcam", "jax", "flax", "mujoco", "robosuite")
     versions = ", ".join(f"{name} {version(name)}" for name in names)
     yield good("package", got=f"{versions}, Python {platform.python_version()}")
@@ -51,8 +54,7 @@ def check_env() -> Iterator[Finding]:
 
 
 def _accelerator() -> Finding:
-    import jax
-
+    """What JAX computes on, and whether there is a GPU that it does not use."""
     backend = jax.default_backend()
     kinds = sorted({device.device_kind for device in jax.devices()})
     got = f"{backend}: {len(jax.devices())} x {', '.join(kinds)}"
@@ -124,8 +126,6 @@ def _maniskill_world() -> Finding:
     task = next(t for t in map(make_task, NAMES["task"]) if isinstance(t, ManiSkillTask))
     try:
         task.require()
-        from jaxcam.sim.maniskill.pool import pool_of
-
         about = pool_of(task.scene("fixed")).about
     except SimError as error:
         return note("ManiSkill tasks", got=str(error).splitlines()[0])

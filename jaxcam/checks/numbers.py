@@ -1,4 +1,4 @@
-"""What the numbers of demonstrations tell: lengths, commands, gripper, rate."""
+"""Whether the numbers of demonstrations make sense: lengths, commands, gripper, rate."""
 
 from collections.abc import Iterable, Sequence
 
@@ -24,9 +24,9 @@ Row = tuple[str, str, str, str]
 """A quantity with its least, middle and largest value, as people write them."""
 
 
-def check_lengths(every: Sequence[Demo]) -> Finding:
+def check_lengths(episodes: Sequence[Demo]) -> Finding:
     """Whether demonstrations are long enough to show something."""
-    lengths = np.array([d.length for d in every])
+    lengths = np.array([d.length for d in episodes])
     got = f"{lengths.min()} to {lengths.max()} control steps, half below {np.median(lengths):.0f}"
     short = np.flatnonzero(lengths < SHORT)
     if not len(short):
@@ -36,10 +36,12 @@ def check_lengths(every: Sequence[Demo]) -> Finding:
     return note("lengths", got=got, expected=f"at least {SHORT}", where=where, fix=fix)
 
 
-def check_commands(every: Sequence[Demo]) -> Finding:
+def check_commands(episodes: Sequence[Demo]) -> Finding:
     """Whether commands are poses near the grip, in its frame and unit, and move steadily."""
-    astray = [np.median(np.linalg.norm(d.actions[:, :3] - d.eef_pos[1:], axis=-1)) for d in every]
-    leaps = [_leap(d.actions[:, :3]) for d in every]
+    astray = [
+        np.median(np.linalg.norm(d.actions[:, :3] - d.eef_pos[1:], axis=-1)) for d in episodes
+    ]
+    leaps = [_leap(d.actions[:, :3]) for d in episodes]
     got = f"{np.median(astray) * 1000:.0f} mm from where the grip is next"
     if names := _over(astray, ASTRAY):
         fix = "Commands are grip poses in the world, in metres: other frames, units or deltas fail."
@@ -73,21 +75,21 @@ def _changes(demo: Demo) -> int:
     return int(np.count_nonzero(np.diff(np.sign(demo.actions[:, -1]))))
 
 
-def check_gripper(every: Sequence[Demo]) -> Finding:
+def check_gripper(episodes: Sequence[Demo]) -> Finding:
     """Whether the gripper's commands are signs within their range, and whether it moves."""
-    commands = np.concatenate([d.actions[:, -1] for d in every])
+    commands = np.concatenate([d.actions[:, -1] for d in episodes])
     got = f"{commands.min():g} to {commands.max():g}, closing {np.mean(commands > 0):.0%} of steps"
     if abs(commands).max() > 1 + STILL or (commands.min() >= 0 and np.ptp(commands) > 0):
         fix = "Positive closes, negative opens: rescale an opening or a 0-to-1 command."
         return bad("gripper", got=got, expected="-1 opens to 1 closes", fix=fix)
-    if not any(map(_changes, every)):
+    if not any(map(_changes, episodes)):
         return note("gripper", got=f"{got}; it never changes")
     return good("gripper", got=got)
 
 
-def check_constants(every: Sequence[Demo]) -> Finding:
+def check_constants(episodes: Sequence[Demo]) -> Finding:
     """Whether every number of the commanded poses varies over the dataset."""
-    spread = np.ptp(np.concatenate([d.actions for d in every]), axis=0)
+    spread = np.ptp(np.concatenate([d.actions for d in episodes]), axis=0)
     constant = [name for name, s in zip(COMMAND[:-1], spread[:-1], strict=True) if s <= STILL]
     if not constant:
         return good("constant commands", got="none")
@@ -95,12 +97,12 @@ def check_constants(every: Sequence[Demo]) -> Finding:
     return note("constant commands", got=some(constant), expected="none", fix=fix)
 
 
-def check_rate(every: Sequence[Demo]) -> Finding:
+def check_rate(episodes: Sequence[Demo]) -> Finding:
     """Whether states are a control step apart."""
-    steps = np.concatenate([np.diff(d.states[:, 0]) for d in every])
+    steps = np.concatenate([np.diff(d.states[:, 0]) for d in episodes])
     if np.allclose(steps, 1 / CONTROL_HZ, atol=1e-6):
         return good("rate", got=f"{CONTROL_HZ:g} control steps a second")
-    off = [not np.allclose(np.diff(d.states[:, 0]), 1 / CONTROL_HZ, atol=1e-6) for d in every]
+    off = [not np.allclose(np.diff(d.states[:, 0]), 1 / CONTROL_HZ, atol=1e-6) for d in episodes]
     where = some([f"demo_{i}" for i in np.flatnonzero(off)])
     got = f"states are {steps.min():.4g} to {steps.max():.4g} s apart"
     return bad(
@@ -114,14 +116,14 @@ def check_rate(every: Sequence[Demo]) -> Finding:
 
 def statistics(demos: Demos) -> list[Row]:
     """Least, middle and largest value of what is worth seeing."""
-    every = demos.train + demos.valid
-    actions = np.concatenate([d.actions for d in every])
-    places = np.concatenate([d.eef_pos for d in every])
+    episodes = demos.train + demos.valid
+    actions = np.concatenate([d.actions for d in episodes])
+    places = np.concatenate([d.eef_pos for d in episodes])
     quantities: list[tuple[str, np.ndarray]] = [
-        ("control steps", np.array([d.length for d in every])),
+        ("control steps", np.array([d.length for d in episodes])),
         *((f"command, {name}", x) for name, x in zip(COMMAND, actions.T, strict=True)),
         *((f"grip, {name}", x) for name, x in zip(COMMAND[:3], places.T, strict=True)),
-        ("gripper's changes", np.array([_changes(d) for d in every])),
+        ("gripper's changes", np.array([_changes(d) for d in episodes])),
     ]
     quantities += camera_numbers(demos).items()
     return [

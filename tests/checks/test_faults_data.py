@@ -303,7 +303,7 @@ def test_blank_and_frozen_pictures(cached, pictures_of):
     pictures.flush()
     found, _ = pictures_of(demos)
     assert found.mark == "bad"
-    assert "frame 0" in found.where
+    assert "picture 0" in found.where
     assert "demo_1" in found.where
     assert str(cache) in found.fix
 
@@ -328,7 +328,7 @@ def test_of_pictures_drawn_in_part_those_that_are_drawn_are_compared(cached, pic
     pictures.flush()
     looked, same = pictures_of(demos)
     assert (looked.mark, same.mark) == ("good", "good")
-    assert f"{drawn.sum()} of {len(drawn)} frames are drawn" in looked.got
+    assert f"{drawn.sum()} of {len(drawn)} pictures are drawn" in looked.got
     pictures[:] = pictures[..., ::-1]
     pictures.flush()
     _, swapped = pictures_of(demos)
