@@ -41,7 +41,7 @@ def check_env() -> Iterator[Finding]:
     yield good("package", got=f"{versions}, Python {platform.python_version()}")
     yield _accelerator()
     yield good("MuJoCo tasks", got=_tasks(False))
-    yield _host()
+    yield check_host()
     for extra, modules in EXTRAS.items():
         missing = [name for name in modules if importlib.util.find_spec(name) is None]
         if missing:
@@ -64,7 +64,7 @@ def _accelerator() -> Finding:
     return good("accelerator", got=got if backend != "cpu" else f"{got} (none)")
 
 
-def _host() -> Finding:
+def check_host() -> Finding:
     """Clock, file names, and folders that caches and processes write to."""
     wrong, fixes = [], []
     if time.localtime().tm_year < YEAR:
