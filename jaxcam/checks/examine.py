@@ -25,6 +25,7 @@ from jaxcam.config.commands import CheckConfig
 from jaxcam.config.datasets import ManiskillConfig, RobomimicConfig
 from jaxcam.data.demos import Demos
 from jaxcam.errors import ConfigError, DatasetError, SimError
+from jaxcam.files.paths import absolute
 from jaxcam.interop.maniskill_files import is_trajectories
 from jaxcam.sim import make_task
 
@@ -127,9 +128,9 @@ def _robomimic_task(path: Path) -> str:
 
 
 def _page(config: CheckConfig) -> Path:
-    target = Path(config.target)
+    target = absolute(config.target)
     if config.out:
-        return Path(config.out)
+        return absolute(config.out)
     return target / "check.html" if target.is_dir() else target.with_suffix(".check.html")
 
 
@@ -141,7 +142,7 @@ def main(config: CheckConfig, console: Console) -> int:
         show(findings, console)
         console.print("The first four are all that the MuJoCo tasks need.")
     else:
-        report = examine(Path(config.target), config.episodes, console)
+        report = examine(absolute(config.target), config.episodes, console)
         findings = report.findings
         show(findings, console)
         try:

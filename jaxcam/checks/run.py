@@ -19,6 +19,7 @@ from jaxcam.data.collection import dataset_path
 from jaxcam.data.demos import read_demos
 from jaxcam.errors import JaxcamError
 from jaxcam.files.jsonl import read_jsonl
+from jaxcam.files.paths import absolute, home
 from jaxcam.runs.environment import environment
 from jaxcam.training.checkpoint import CONVENTION, checkpoint_steps
 from jaxcam.training.digests import DamagedError, read_all
@@ -123,12 +124,12 @@ def _set_aside(folder: Path) -> Iterator[Finding]:
 def _dataset(folder: Path, config: TrainConfig, checkpoints: Verified) -> Finding:
     """Whether the demonstrations are where the run found them, and still the same."""
     what = "dataset"
-    path = Path(config.dataset) if config.dataset else dataset_path(CollectConfig.of(config))
+    path = home(config.dataset) if config.dataset else dataset_path(CollectConfig.of(config))
     if not path.exists():
         # Relative to where the run was started, if its folder still is where it was made.
-        depth = len(Path(config.run_dir).parts)
-        if folder.absolute().parts[-depth:] == Path(config.run_dir).parts:
-            path = folder.absolute().parents[depth - 1] / path
+        made, folder = Path(config.run_dir).parts, absolute(folder)
+        if folder.parts[-len(made) :] == made:
+            path = folder.parents[len(made) - 1] / path
     if not path.exists():
         fix = "Resuming needs it: run from the folder the run was started in, or pass --data-dir."
         if not config.dataset:
