@@ -10,11 +10,14 @@ import pytest
 from policy_inputs import start
 from running import exit_code
 
+from jaxcam.config.datasets import CollectConfig
 from jaxcam.config.fields import to_json
 from jaxcam.config.train import TrainConfig
+from jaxcam.data.collection import dataset_path
 from jaxcam.files.jsonl import read_jsonl
 from jaxcam.files.paths import absolute, home
 from jaxcam.models import FAMILIES, PolicySpec, make_policy
+from jaxcam.runs.grid import read_grid
 from jaxcam.runs.identity import resolve
 from jaxcam.sim.actions import action_dim
 from jaxcam.sim.world import PROPRIO_DIM
@@ -104,6 +107,40 @@ def test_weights_are_exported(path, place, capsys):
     for file in weights.parent.iterdir():
         file.unlink()
     weights.parent.rmdir()
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [
+        ("check", "~/none.hdf5"),
+        ("replay", "~/none.hdf5"),
+        ("robomimic", "~/none.hdf5"),
+        ("maniskill", "~/none.hdf5"),
+        ("lerobot", "~/none.hdf5", "~/out"),
+        ("train", "--dataset=~/none.hdf5"),
+        ("report", "~/none"),
+        ("sweep", "~/none.yaml"),
+    ],
+    ids=lambda argv: argv[0],
+)
+def test_commands_look_in_the_home(tmp_path, monkeypatch, capsys, argv):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    assert exit_code(*argv) != 0
+    words = "".join(capsys.readouterr()).replace("│", "")
+    assert f"{tmp_path}/none" in "".join(words.split())
+    assert not list(tmp_path.iterdir())
+
+
+def test_runs_of_a_grid_and_datasets_in_the_home(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "grid.yaml").write_text(
+        "runs_dir: ~/runs\nruns:\n  - {policy: act, preset: laptop, seed: 0}\n"
+    )
+    grid = read_grid("~/grid.yaml")
+    assert grid.runs_dir == tmp_path / "runs"
+    assert all(str(run.folder).startswith(str(tmp_path)) for run in grid.runs)
+    assert dataset_path(CollectConfig(data_dir="~/data")).parent == tmp_path / "data"
 
 
 def test_what_paths_mean(tmp_path, monkeypatch):
