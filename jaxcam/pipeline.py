@@ -3,13 +3,11 @@
 Whatever exists is used; whatever was interrupted goes on when the same command is run again.
 """
 
-import dataclasses
 import shlex
 import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -27,6 +25,7 @@ from jaxcam.devices import check_same, gathered, is_first, joined, own
 from jaxcam.errors import ConfigError
 from jaxcam.evaluation.run import Evaluator, evaluate
 from jaxcam.files.jsonl import read_jsonl
+from jaxcam.files.paths import absolute
 from jaxcam.models import Policy, PolicySpec, Stats, make_policy, policy_settings
 from jaxcam.models.policy import blank_stats
 from jaxcam.models.weights.load import Weights, load, read_weights, record_weights
@@ -107,7 +106,7 @@ def _like_its_dataset(config: TrainConfig) -> TrainConfig:
     if not config.dataset:
         return config
 
-    header = read_demos(Path(config.dataset), task=config.task, scene=config.scene).header
+    header = read_demos(absolute(config.dataset), task=config.task, scene=config.scene).header
     counts = {"demos": header.train, "validation": header.valid, "n": header.n, "m": header.m}
     for name, count in counts.items():
         if getattr(config, name) not in (count, getattr(TrainConfig, name)):
@@ -118,21 +117,15 @@ def _like_its_dataset(config: TrainConfig) -> TrainConfig:
     return replace(config, **counts)
 
 
-def collect_config(config: TrainConfig) -> CollectConfig:
-    """The dataset a run trains on; every training seed shares it."""
-    names = [f.name for f in dataclasses.fields(CollectConfig) if f.name != "seed"]
-    return CollectConfig(**{name: getattr(config, name) for name in names})
-
-
 def _dataset(configs: Sequence[TrainConfig], console: Console | None) -> Dataset:
     """What runs that differ in their seed are trained on."""
     config = configs[0]
     task = make_task(config.task)
     task.require()  # hours may pass until the evaluation needs its simulator
     if config.dataset:
-        demos = read_demos(Path(config.dataset), task=config.task, scene=config.scene)
+        demos = read_demos(absolute(config.dataset), task=config.task, scene=config.scene)
     else:
-        demos = collect(collect_config(config), console)
+        demos = collect(CollectConfig.of(config), console)
     samples = Samples(Layout.of(demos), len(demos.train))
     seeds, obs_steps = [c.seed for c in configs], policy_settings(config).obs_steps
     wanted = samples.wanted(seeds, config.steps, config.batch, config.views, obs_steps)
@@ -185,7 +178,7 @@ def _finish(
         evaluator,
         policy,
         own(state.eval_params),
-        Path(config.run_dir),
+        absolute(config.run_dir),
         step=step,
         pairs=config.pairs,
         videos=config.videos,

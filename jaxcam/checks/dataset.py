@@ -9,7 +9,7 @@ import numpy as np
 from rich.console import Console
 
 from jaxcam.checks.cameras import check_cameras, check_poses
-from jaxcam.checks.findings import Finding, some
+from jaxcam.checks.findings import Finding, bad, good, note
 from jaxcam.checks.held_out import check_field_of_view, check_held_out, check_ranges
 from jaxcam.checks.numbers import (
     check_commands,
@@ -20,6 +20,7 @@ from jaxcam.checks.numbers import (
 )
 from jaxcam.checks.overlays import chosen
 from jaxcam.console.progress import progress
+from jaxcam.console.words import some
 from jaxcam.data.demos import Demo, Demos, faults_of, read_demos
 from jaxcam.data.replay import GATE, replay_all
 from jaxcam.errors import DatasetError
@@ -32,9 +33,9 @@ from jaxcam.sim.world import World
 APART = 1e-3
 """Distance (m) up to which the recorded grip is where the recorded joints put it."""
 LISTED = 10
-"""Demonstrations that are told one by one of those that cannot be used."""
+"""Faults of a file that are listed one by one."""
 REPLAY_FIX = """Commands, gripper sign, object poses or the task are not what was recorded; \
-python -m jaxcam.replay tells of every demonstration."""
+python -m jaxcam.replay lists the demonstrations that fail."""
 GRIPPER_TURNED = np.array([1, 1, 1, 1, 1, 1, -1])
 """What an action is multiplied by to open where it closed."""
 
@@ -47,22 +48,22 @@ def read(path: Path) -> tuple[Demos | None, list[Finding]]:
         errors = [error]
         try:
             errors = faults_of(path) or errors
-        except DatasetError as whole:
-            errors = [whole]
-        listed = [Finding("file", "bad", str(e)) for e in errors[:LISTED]]
+        except DatasetError as of_the_file:
+            errors = [of_the_file]
+        listed = [bad("file", got=str(e)) for e in errors[:LISTED]]
         if (rest := len(errors) - LISTED) > 0:
-            listed.append(Finding("file", "bad", f"and {rest} more such"))
+            listed.append(bad("file", got=f"and {rest} more such"))
         return None, listed
     header = demos.header
     got = (
         f"{len(demos.train)} training and {len(demos.valid)} validation demonstrations of "
         f"{header.task}, {header.scene}; content {demos.fingerprint}"
     )
-    return demos, [Finding("file", "good", got)]
+    return demos, [good("file", got=got)]
 
 
 def check_content(demos: Demos, scene: World) -> Iterator[Finding]:
-    """What can be told without a simulator."""
+    """Checks that need no simulator."""
     yield _sizes(demos, scene)
     yield _duplicates(demos)
     yield check_held_out(demos)
@@ -72,68 +73,63 @@ def check_content(demos: Demos, scene: World) -> Iterator[Finding]:
         yield check_cameras(demos)
         yield check_ranges(demos)
     yield check_field_of_view(demos)
-    every = demos.train + demos.valid
+    episodes = demos.train + demos.valid
     for check in (check_lengths, check_commands, check_gripper, check_constants, check_rate):
-        yield check(every)
+        yield check(episodes)
 
 
 def check_physics(
     demos: Demos, task: Task, scene: World, count: int, console: Console | None = None
 ) -> Iterator[Finding]:
-    """What a simulator tells of some demonstrations; it must be there.
+    """Replays some demonstrations, for which this machine must have their simulator.
 
     Args:
-        demos: the dataset.
-        task: of the demonstrations.
-        scene: of the demonstrations.
-        count: demonstrations that are replayed.
-        console: for progress; silent when None.
+        demos: The dataset.
+        task: Of the demonstrations.
+        scene: Of the demonstrations.
+        count: Demonstrations that are replayed.
+        console: For progress; silent when None.
     """
-    every = demos.train + demos.valid
-    rows = chosen(len(every), count)
-    some_demos = [every[i] for i in rows]
-    yield _grip(some_demos, rows, task, scene)
+    episodes = demos.train + demos.valid
+    rows = chosen(len(episodes), count)
+    replayed = [episodes[i] for i in rows]
+    yield _grip(replayed, rows, task, scene)
     with progress(console, "replaying", len(rows) * len(ACTION_SPACES)) as advance:
-        found = replay_all(some_demos, task, scene, tick=advance)
+        successes = replay_all(replayed, task, scene, tick=advance)
     fix = REPLAY_FIX
-    if not found["eef_abs"].any():
-        turned = [replace(d, actions=d.actions * GRIPPER_TURNED) for d in some_demos]
+    if not successes["eef_abs"].any():
+        turned = [replace(d, actions=d.actions * GRIPPER_TURNED) for d in replayed]
         if replay_all(turned, task, scene, ["eef_abs"])["eef_abs"].all():
             fix = "Likely cause: the gripper's sign is turned round. Positive closes."
-    for space, success in found.items():
+    for space, success in successes.items():
         failed = [f"demo_{i}" for i in rows[~success]]
-        good = success.mean() >= GATE
-        yield Finding(
-            f"replay, {space}",
-            "good" if good else "bad",
-            f"{success.sum()} of {len(rows)} succeed",
-            "" if good else f"at least {GATE:.0%}",
-            some(failed),
-            "" if good else fix,
-        )
+        what, got = f"replay, {space}", f"{success.sum()} of {len(rows)} succeed"
+        if success.mean() >= GATE:
+            yield good(what, got=got, where=some(failed))
+        else:
+            yield bad(what, got=got, expected=f"at least {GATE:.0%}", where=some(failed), fix=fix)
 
 
 def _sizes(demos: Demos, scene: World) -> Finding:
     """Whether states are of this scene as it is built here."""
     header = demos.header
     if (header.nq, header.nv) == (scene.nq, scene.nv):
-        return Finding("states", "good", f"{header.nq} positions and {header.nv} velocities")
-    return Finding(
+        return good("states", got=f"{header.nq} positions and {header.nv} velocities")
+    return bad(
         "states",
-        "bad",
-        f"{header.nq} positions and {header.nv} velocities",
-        f"{scene.nq} and {scene.nv}, as {header.task} has here",
+        got=f"{header.nq} positions and {header.nv} velocities",
+        expected=f"{scene.nq} and {scene.nv}, as {header.task} has here",
         fix=f"The simulator's models changed since; it was made with {header.versions}.",
     )
 
 
 def _duplicates(demos: Demos) -> Finding:
     """Whether a demonstration is there twice."""
-    every = demos.train + demos.valid
-    same = [*_twins(every, lambda d: d.states.tobytes() + d.actions.tobytes())]
-    seeds = [*_twins(every, lambda d: str(d.seed).encode())]
+    episodes = demos.train + demos.valid
+    same = [*_twins(episodes, lambda d: d.states.tobytes() + d.actions.tobytes())]
+    seeds = [*_twins(episodes, lambda d: str(d.seed).encode())]
     if not same and not seeds:
-        return Finding("duplicates", "good", f"all {len(every)} demonstrations differ")
+        return good("duplicates", got=f"all {len(episodes)} demonstrations differ")
     train = len(demos.train)
     leaks = [pair for pair in same if min(pair) < train <= max(pair)]
     got = f"{len(same)} are copies of earlier ones"
@@ -142,14 +138,20 @@ def _duplicates(demos: Demos) -> Finding:
     if len(seeds) > len(same):
         got += f"; {len(seeds) - len(same)} more share an episode's seed"
     pairs = [f"demo_{i} = demo_{k}" for i, k in same or seeds]
-    mark = "bad" if same else "note"
-    return Finding("duplicates", mark, got, "none", some(pairs), "Leave the copies out.")
+    finding = bad if same else note
+    return finding(
+        "duplicates",
+        got=got,
+        expected="none",
+        where=some(pairs),
+        fix="Leave the copies out.",
+    )
 
 
-def _twins(every: Sequence[Demo], key: Callable[[Demo], bytes]) -> Iterator[tuple[int, int]]:
-    """Each demonstration whose key an earlier one has, after that."""
+def _twins(episodes: Sequence[Demo], key: Callable[[Demo], bytes]) -> Iterator[tuple[int, int]]:
+    """Rows of each demonstration whose key an earlier one has: the earlier one, then its own."""
     first: dict[bytes, int] = {}
-    for i, demo in enumerate(every):
+    for i, demo in enumerate(episodes):
         digest = hashlib.sha256(key(demo)).digest()
         if first.setdefault(digest, i) != i:
             yield first[digest], i
@@ -167,7 +169,7 @@ def _grip(demos: Sequence[Demo], rows: np.ndarray, task: Task, scene: World) -> 
     apart = np.linalg.norm(there - [d.eef_pos[0] for d in demos], axis=-1)
     got = f"within {apart.max() * 1000:.2g} mm of where the joints put it"
     if apart.max() <= APART:
-        return Finding("grip", "good", got)
+        return good("grip", got=got)
     where = some([f"demo_{i}" for i in rows[apart > APART]])
     fix = "obs/robot0_eef_pos is the grip site in the world, in metres; states are of this robot."
-    return Finding("grip", "bad", got, f"within {APART * 1000:g} mm", where, fix)
+    return bad("grip", got=got, expected=f"within {APART * 1000:g} mm", where=where, fix=fix)

@@ -1,6 +1,6 @@
 """`python -m jaxcam.check DATASET|RUN|--env`: the doctor of datasets, runs and machines.
 
-It looks and changes nothing. What it finds is told in a table and on a page beside what was
+It looks and changes nothing. Its findings are shown in a table and on a page beside what was
 checked; the exit code is 1 if something must be mended.
 """
 
@@ -15,7 +15,7 @@ import h5py
 from rich.console import Console
 
 from jaxcam.checks.dataset import check_content, check_physics, read
-from jaxcam.checks.findings import Finding, show, worst
+from jaxcam.checks.findings import bad, note, show, worst
 from jaxcam.checks.machine import check_env
 from jaxcam.checks.numbers import statistics
 from jaxcam.checks.page import Report, draw_figures, write_page
@@ -25,6 +25,7 @@ from jaxcam.config.commands import CheckConfig
 from jaxcam.config.datasets import ManiskillConfig, RobomimicConfig
 from jaxcam.data.demos import Demos
 from jaxcam.errors import ConfigError, DatasetError, SimError
+from jaxcam.files.paths import absolute
 from jaxcam.interop.maniskill_files import is_trajectories
 from jaxcam.sim import make_task
 
@@ -33,9 +34,9 @@ def check_dataset(path: Path, count: int, console: Console | None = None) -> Rep
     """Examines a dataset of ours.
 
     Args:
-        path: of the file.
-        count: demonstrations that are replayed, drawn and compared with cached pictures.
-        console: for progress; silent when None.
+        path: Of the file.
+        count: Demonstrations that are replayed, drawn and compared with cached pictures.
+        console: For progress; silent when None.
     """
     demos, findings = read(path)
     if demos is None:
@@ -53,7 +54,7 @@ def check_dataset(path: Path, count: int, console: Console | None = None) -> Rep
                 findings += check_caches(demos, task, scene, count)
                 overlays = draw_overlays(demos, task, scene, count)
         except SimError as error:
-            findings.append(Finding("replay and pictures", "note", "not looked at", fix=str(error)))
+            findings.append(note("replay and pictures", got="not looked at", fix=str(error)))
     return Report(
         title=f"{task.name}, {scene.name}",
         subtitle=path.name,
@@ -70,16 +71,16 @@ def check_foreign(
     """Examines what becomes of somebody else's file when it is imported; nothing of that is kept.
 
     Args:
-        path: of the file.
-        count: see `check_dataset`.
-        console: for progress; silent when None.
-        importer: writes the file's demonstrations as a dataset of ours to a path.
+        path: Of the file.
+        count: See `check_dataset`.
+        console: For progress; silent when None.
+        importer: Writes the file's demonstrations as a dataset of ours to a path.
     """
     with TemporaryDirectory() as folder:
         try:
             demos = importer(Path(folder) / "imported.hdf5")
         except DatasetError as error:
-            finding = Finding("file", "bad", str(error))
+            finding = bad("file", got=str(error))
             return Report(path.name, "It cannot be imported.", [finding])
         report = check_dataset(demos.path, count, console)
     about = demos.header.versions["imported"]
@@ -127,9 +128,9 @@ def _robomimic_task(path: Path) -> str:
 
 
 def _page(config: CheckConfig) -> Path:
-    target = Path(config.target)
+    target = absolute(config.target)
     if config.out:
-        return Path(config.out)
+        return absolute(config.out)
     return target / "check.html" if target.is_dir() else target.with_suffix(".check.html")
 
 
@@ -141,7 +142,7 @@ def main(config: CheckConfig, console: Console) -> int:
         show(findings, console)
         console.print("The first four are all that the MuJoCo tasks need.")
     else:
-        report = examine(Path(config.target), config.episodes, console)
+        report = examine(absolute(config.target), config.episodes, console)
         findings = report.findings
         show(findings, console)
         try:

@@ -1,7 +1,8 @@
-"""What a check finds, one thing at a time, and how a person sees it in a terminal."""
+"""Findings: what a check says of one thing, and how a person sees that in a terminal."""
 
 from collections.abc import Iterable, Sequence
-from typing import Literal, NamedTuple
+from dataclasses import dataclass
+from typing import Literal
 
 from rich.console import Console
 from rich.table import Table
@@ -13,20 +14,36 @@ COLOURS: dict[Mark, str] = {"good": "green", "note": "yellow", "bad": "red"}
 """Of each mark in a terminal."""
 
 
-class Finding(NamedTuple):
-    """What was found of one thing."""
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """What a check has to say of one thing; `good`, `note` and `bad` make them."""
 
     what: str
     """The thing."""
     mark: Mark
     got: str
-    """What was found."""
+    """How it is."""
     expected: str = ""
-    """What should have been."""
+    """How it should be."""
     where: str = ""
     """Which of several."""
     fix: str = ""
     """How to mend it, or to get what is missing."""
+
+
+def good(what: str, *, got: str, where: str = "") -> Finding:
+    """All is well with a thing."""
+    return Finding(what=what, mark="good", got=got, where=where)
+
+
+def note(what: str, *, got: str, expected: str = "", where: str = "", fix: str = "") -> Finding:
+    """Something of a thing should be known; the run or the dataset can be used."""
+    return Finding(what=what, mark="note", got=got, expected=expected, where=where, fix=fix)
+
+
+def bad(what: str, *, got: str, expected: str = "", where: str = "", fix: str = "") -> Finding:
+    """Something of a thing must be mended."""
+    return Finding(what=what, mark="bad", got=got, expected=expected, where=where, fix=fix)
 
 
 def worst(findings: Iterable[Finding]) -> Mark:
@@ -35,21 +52,15 @@ def worst(findings: Iterable[Finding]) -> Mark:
     return "bad" if "bad" in marks else "note" if "note" in marks else "good"
 
 
-def some(names: Sequence[object], most: int = 5) -> str:
-    """The first names of a list, and how many more there are."""
-    rest = len(names) - most
-    return ", ".join(map(str, names[:most])) + (f" and {rest} more" if rest > 0 else "")
-
-
 def show(findings: Sequence[Finding], console: Console) -> None:
     """Prints findings as a table, and below it how to mend what is not good."""
     table = Table("what", "", "found")
     for finding in findings:
         mark = Text(finding.mark, COLOURS[finding.mark])
-        found = finding.got
+        got = finding.got
         if finding.expected and finding.mark != "good":
-            found += f"\nexpected: {finding.expected}"
-        table.add_row(Text(named(finding)), mark, Text(found))
+            got += f"\nexpected: {finding.expected}"
+        table.add_row(Text(named(finding)), mark, Text(got))
     console.print(table)
     fixes: dict[str, list[str]] = {}
     for finding in findings:

@@ -3,7 +3,8 @@
 import numpy as np
 from scipy.spatial import KDTree
 
-from jaxcam.checks.findings import Finding, some
+from jaxcam.checks.findings import Finding, bad, good, note
+from jaxcam.console.words import some
 from jaxcam.data.demos import Demos
 from jaxcam.data.pairs import SPLITS
 from jaxcam.rays import sample_poses, spherical
@@ -23,21 +24,21 @@ def check_held_out(demos: Demos) -> Finding:
     trained = np.asarray(header.world_from_camera)
     tree = KDTree(_flat(trained))
     ranges = make_task(header.task).cameras
-    shared = [
-        f"{(tree.query(_flat(sample_poses(ranges, HELD_OUT, seed)))[0] < SAME).sum()} of {split}"
-        for split, (_, seed) in SPLITS.items()
-    ]
+    shared = {}
+    for split, (_, seed) in SPLITS.items():
+        apart, _ = tree.query(_flat(sample_poses(ranges, HELD_OUT, seed)))
+        shared[split] = np.count_nonzero(np.asarray(apart) < SAME)
     first, last = min(s for s, _ in SPLITS.values()), max(s for s, _ in SPLITS.values())
     seeds = [d.seed for d in demos.train + demos.valid]
     taken = [seed for seed in seeds if first <= seed < 2 * last - first]
-    if all(told.startswith("0 ") for told in shared) and not taken:
-        return Finding(what, "good", "no camera and no episode of the evaluation is in the dataset")
-    return Finding(
+    if not any(shared.values()) and not taken:
+        return good(what, got="no camera and no episode of the evaluation is in the dataset")
+    cameras = ", ".join(f"{count} of {split}" for split, count in shared.items())
+    return bad(
         what,
-        "bad",
-        f"cameras of the evaluation that are in the dataset: {', '.join(shared)}; episode seeds "
-        f"of the evaluation: {some(taken) or 'none'}",
-        "none",
+        got=f"cameras of the evaluation that are in the dataset: {cameras}; "
+        f"episode seeds of the evaluation: {some(taken) or 'none'}",
+        expected="none",
         fix="Success on what was trained on says nothing: draw other cameras or episodes.",
     )
 
@@ -47,15 +48,14 @@ def check_field_of_view(demos: Demos) -> Finding:
     task = make_task(demos.header.task)
     got, expected = demos.header.fovy_deg, task.fovy_deg
     if np.isclose(got, expected, atol=1e-3):
-        return Finding("field of view", "good", f"{got:g}° up and down, as the task's cameras")
+        return good("field of view", got=f"{got:g}° up and down, as the task's cameras")
     hint = " It looks like radians." if np.isclose(np.rad2deg(got), expected, rtol=0.01) else ""
-    return Finding(
+    return bad(
         "field of view",
-        "bad",
-        f"{got:g}°",
-        f"{expected:g}°, of the cameras that policies are evaluated with",
-        "fovy_deg",
-        f"Intrinsics follow from it: store the cameras' own.{hint}",
+        got=f"{got:g}°",
+        expected=f"{expected:g}°, of the cameras that policies are evaluated with",
+        where="fovy_deg",
+        fix=f"Intrinsics follow from it: store the cameras' own.{hint}",
     )
 
 
@@ -78,15 +78,14 @@ def check_ranges(demos: Demos) -> Finding:
     )
     got = f"{alike.sum()} of {len(poses)} are such as the evaluation draws"
     if alike.all():
-        return Finding(what, "good", got)
+        return good(what, got=got)
     where = some(np.flatnonzero(~alike).tolist())
-    return Finding(
+    return note(
         what,
-        "note",
-        got,
-        "all",
-        where,
-        "Policies are evaluated from elsewhere than they learned, unless that is meant.",
+        got=got,
+        expected="all",
+        where=where,
+        fix="Policies are evaluated from elsewhere than they learned, unless that is meant.",
     )
 
 

@@ -11,11 +11,14 @@ from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 
-from jaxcam.checks.findings import Finding
+import jax
+
+from jaxcam.checks.findings import Finding, bad, good, note
 from jaxcam.config.presets import NAMES
 from jaxcam.errors import SimError
 from jaxcam.sim import make_task
 from jaxcam.sim.maniskill import machine
+from jaxcam.sim.maniskill.pool import pool_of
 from jaxcam.sim.maniskill.task import ManiSkillTask
 
 EXTRAS = {
@@ -32,50 +35,36 @@ YEAR = 2025
 
 
 def check_env() -> Iterator[Finding]:
-    """What of this machine matters, one by one; the last takes seconds."""
+    """What matters of this machine, one thing at a time; the last takes seconds."""
     names = ("jaxcam", "jax", "flax", "mujoco", "robosuite")
-    told = ", ".join(f"{name} {version(name)}" for name in names)
-    yield Finding("package", "good", f"{told}, Python {platform.python_version()}")
+    versions = ", ".join(f"{name} {version(name)}" for name in names)
+    yield good("package", got=f"{versions}, Python {platform.python_version()}")
     yield _accelerator()
-    yield Finding("MuJoCo tasks", "good", _tasks(False))
-    yield _host()
+    yield good("MuJoCo tasks", got=_tasks(False))
+    yield check_host()
     for extra, modules in EXTRAS.items():
         missing = [name for name in modules if importlib.util.find_spec(name) is None]
         if missing:
             fix = f"pip install 'jaxcam[{extra}]'"
-            yield Finding(f"extra {extra}", "note", f"without {', '.join(missing)}", fix=fix)
+            yield note(f"extra {extra}", got=f"without {', '.join(missing)}", fix=fix)
         else:
-            yield Finding(f"extra {extra}", "good", ", ".join(modules))
-    missing = machine.missing_packages()
-    told = ", ".join(f"{name} {number}" for name, number in machine.versions().items())
-    if missing:
-        told = f"without {', '.join(missing)}"
-    fix = machine.INSTALL if missing else ""
-    yield Finding("extra maniskill", "note" if missing else "good", told, fix=fix)
-    if "sapien" in missing:
-        yield Finding("Vulkan device", "note", "not looked for: SAPIEN is missing")
-    else:
-        device = machine.device()
-        fix = "" if device.kind else machine.VULKAN
-        yield Finding("Vulkan device", "good" if device.kind else "note", device.name, fix=fix)
-        card = machine.cuda()
-        yield Finding("ManiSkill on a card", "good" if card.kind else "note", card.name)
-    yield _maniskill()
+            yield good(f"extra {extra}", got=", ".join(modules))
+    yield from _maniskill()
+    yield _maniskill_world()
 
 
 def _accelerator() -> Finding:
-    import jax
-
+    """What JAX computes on, and whether there is a GPU that it does not use."""
     backend = jax.default_backend()
     kinds = sorted({device.device_kind for device in jax.devices()})
-    told = f"{backend}: {len(jax.devices())} x {', '.join(kinds)}"
+    got = f"{backend}: {len(jax.devices())} x {', '.join(kinds)}"
     if backend == "cpu" and machine.has_nvidia():
         fix = "pip install 'jaxcam[cuda]'"
-        return Finding("accelerator", "note", f"{told}, though there is a GPU", fix=fix)
-    return Finding("accelerator", "good", told if backend != "cpu" else f"{told} (none)")
+        return note("accelerator", got=f"{got}, though there is a GPU", fix=fix)
+    return good("accelerator", got=got if backend != "cpu" else f"{got} (none)")
 
 
-def _host() -> Finding:
+def check_host() -> Finding:
     """Clock, file names, and folders that caches and processes write to."""
     wrong, fixes = [], []
     if time.localtime().tm_year < YEAR:
@@ -92,8 +81,8 @@ def _host() -> Finding:
             wrong.append(f"{folder}: {why}")
             fixes.append(f"Set {variable} to a folder that can be written.")
     if wrong:
-        return Finding("host", "bad", "; ".join(wrong), fix=" ".join(fixes))
-    return Finding("host", "good", f"clock, UTF-8, {tempfile.gettempdir()} and {_caches()}")
+        return bad("host", got="; ".join(wrong), fix=" ".join(fixes))
+    return good("host", got=f"clock, UTF-8, {tempfile.gettempdir()} and {_caches()}")
 
 
 def _caches() -> Path:
@@ -112,18 +101,36 @@ def _unwritable(folder: Path) -> str:
         return str(error.strerror or error)
 
 
-def _maniskill() -> Finding:
+def _maniskill() -> Iterator[Finding]:
+    """The extra's packages, and what its simulator can draw and compute with."""
+    missing = machine.missing_packages()
+    if missing:
+        got = f"without {', '.join(missing)}"
+        yield note("extra maniskill", got=got, fix=machine.INSTALL)
+    else:
+        versions = (f"{name} {number}" for name, number in machine.versions().items())
+        yield good("extra maniskill", got=", ".join(versions))
+    if "sapien" in missing:
+        yield note("Vulkan device", got="not looked for: SAPIEN is missing")
+        return
+    device, card = machine.device(), machine.cuda()
+    if device.kind:
+        yield good("Vulkan device", got=device.name)
+    else:
+        yield note("Vulkan device", got=device.name, fix=machine.VULKAN)
+    yield (good if card.kind else note)("ManiSkill on a card", got=card.name)
+
+
+def _maniskill_world() -> Finding:
     """Whether one of its worlds can be made here: that is what other processes will do."""
     task = next(t for t in map(make_task, NAMES["task"]) if isinstance(t, ManiSkillTask))
     try:
         task.require()
-        from jaxcam.sim.maniskill.pool import pool_of
-
         about = pool_of(task.scene("fixed")).about
     except SimError as error:
-        return Finding("ManiSkill tasks", "note", str(error).splitlines()[0])
+        return note("ManiSkill tasks", got=str(error).splitlines()[0])
     steps = f"{about['control_hz']:g} control steps a second"
-    return Finding("ManiSkill tasks", "good", f"{_tasks(True)} ({steps})")
+    return good("ManiSkill tasks", got=f"{_tasks(True)} ({steps})")
 
 
 def _tasks(maniskill: bool) -> str:

@@ -1,11 +1,12 @@
-"""What the numbers of demonstrations tell: lengths, commands, gripper, rate."""
+"""Whether the numbers of demonstrations make sense: lengths, commands, gripper, rate."""
 
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from jaxcam.checks.findings import Finding, some
+from jaxcam.checks.findings import Finding, bad, good, note
 from jaxcam.checks.held_out import camera_numbers
+from jaxcam.console.words import some
 from jaxcam.data.demos import Demo, Demos
 from jaxcam.sim.controllers import CONTROL_HZ
 
@@ -23,43 +24,43 @@ Row = tuple[str, str, str, str]
 """A quantity with its least, middle and largest value, as people write them."""
 
 
-def check_lengths(every: Sequence[Demo]) -> Finding:
+def check_lengths(episodes: Sequence[Demo]) -> Finding:
     """Whether demonstrations are long enough to show something."""
-    lengths = np.array([d.length for d in every])
+    lengths = np.array([d.length for d in episodes])
     got = f"{lengths.min()} to {lengths.max()} control steps, half below {np.median(lengths):.0f}"
     short = np.flatnonzero(lengths < SHORT)
     if not len(short):
-        return Finding("lengths", "good", got)
+        return good("lengths", got=got)
     where = some([f"demo_{i}" for i in short])
     fix = "Chunks are padded past the end; leave out what shows nothing."
-    return Finding("lengths", "note", got, f"at least {SHORT}", where, fix)
+    return note("lengths", got=got, expected=f"at least {SHORT}", where=where, fix=fix)
 
 
-def check_commands(every: Sequence[Demo]) -> Finding:
+def check_commands(episodes: Sequence[Demo]) -> Finding:
     """Whether commands are poses near the grip, in its frame and unit, and move steadily."""
-    astray = [np.median(np.linalg.norm(d.actions[:, :3] - d.eef_pos[1:], axis=-1)) for d in every]
-    leaps = [_leap(d.actions[:, :3]) for d in every]
+    astray = [
+        np.median(np.linalg.norm(d.actions[:, :3] - d.eef_pos[1:], axis=-1)) for d in episodes
+    ]
+    leaps = [_leap(d.actions[:, :3]) for d in episodes]
     got = f"{np.median(astray) * 1000:.0f} mm from where the grip is next"
-    if bad := _over(astray, ASTRAY):
+    if names := _over(astray, ASTRAY):
         fix = "Commands are grip poses in the world, in metres: other frames, units or deltas fail."
-        return Finding(
+        return bad(
             "commands",
-            "bad",
-            f"up to {max(astray):.2g} m from where the grip is next",
-            f"at most {ASTRAY:g} m",
-            some(bad),
-            fix,
+            got=f"up to {max(astray):.2g} m from where the grip is next",
+            expected=f"at most {ASTRAY:g} m",
+            where=some(names),
+            fix=fix,
         )
-    if bad := _over(leaps, LEAP):
-        return Finding(
+    if names := _over(leaps, LEAP):
+        return note(
             "commands",
-            "note",
-            f"they leap by up to {max(leaps):.2g} m in a control step",
-            f"at most {LEAP:g} m",
-            some(bad),
-            "No arm can follow.",
+            got=f"they leap by up to {max(leaps):.2g} m in a control step",
+            expected=f"at most {LEAP:g} m",
+            where=some(names),
+            fix="No arm can follow.",
         )
-    return Finding("commands", "good", got)
+    return good("commands", got=got)
 
 
 def _leap(positions: np.ndarray) -> float:
@@ -74,56 +75,55 @@ def _changes(demo: Demo) -> int:
     return int(np.count_nonzero(np.diff(np.sign(demo.actions[:, -1]))))
 
 
-def check_gripper(every: Sequence[Demo]) -> Finding:
+def check_gripper(episodes: Sequence[Demo]) -> Finding:
     """Whether the gripper's commands are signs within their range, and whether it moves."""
-    commands = np.concatenate([d.actions[:, -1] for d in every])
+    commands = np.concatenate([d.actions[:, -1] for d in episodes])
     got = f"{commands.min():g} to {commands.max():g}, closing {np.mean(commands > 0):.0%} of steps"
     if abs(commands).max() > 1 + STILL or (commands.min() >= 0 and np.ptp(commands) > 0):
         fix = "Positive closes, negative opens: rescale an opening or a 0-to-1 command."
-        return Finding("gripper", "bad", got, "-1 opens to 1 closes", fix=fix)
-    if not any(map(_changes, every)):
-        return Finding("gripper", "note", f"{got}; it never changes")
-    return Finding("gripper", "good", got)
+        return bad("gripper", got=got, expected="-1 opens to 1 closes", fix=fix)
+    if not any(map(_changes, episodes)):
+        return note("gripper", got=f"{got}; it never changes")
+    return good("gripper", got=got)
 
 
-def check_constants(every: Sequence[Demo]) -> Finding:
+def check_constants(episodes: Sequence[Demo]) -> Finding:
     """Whether every number of the commanded poses varies over the dataset."""
-    spread = np.ptp(np.concatenate([d.actions for d in every]), axis=0)
+    spread = np.ptp(np.concatenate([d.actions for d in episodes]), axis=0)
     constant = [name for name, s in zip(COMMAND[:-1], spread[:-1], strict=True) if s <= STILL]
     if not constant:
-        return Finding("constant commands", "good", "none")
+        return good("constant commands", got="none")
     fix = "Statistics have a floor, so nothing blows up; but a policy learns nothing of these."
-    return Finding("constant commands", "note", some(constant), "none", fix=fix)
+    return note("constant commands", got=some(constant), expected="none", fix=fix)
 
 
-def check_rate(every: Sequence[Demo]) -> Finding:
+def check_rate(episodes: Sequence[Demo]) -> Finding:
     """Whether states are a control step apart."""
-    steps = np.concatenate([np.diff(d.states[:, 0]) for d in every])
+    steps = np.concatenate([np.diff(d.states[:, 0]) for d in episodes])
     if np.allclose(steps, 1 / CONTROL_HZ, atol=1e-6):
-        return Finding("rate", "good", f"{CONTROL_HZ:g} control steps a second")
-    bad = [not np.allclose(np.diff(d.states[:, 0]), 1 / CONTROL_HZ, atol=1e-6) for d in every]
-    where = some([f"demo_{i}" for i in np.flatnonzero(bad)])
+        return good("rate", got=f"{CONTROL_HZ:g} control steps a second")
+    off = [not np.allclose(np.diff(d.states[:, 0]), 1 / CONTROL_HZ, atol=1e-6) for d in episodes]
+    where = some([f"demo_{i}" for i in np.flatnonzero(off)])
     got = f"states are {steps.min():.4g} to {steps.max():.4g} s apart"
-    return Finding(
+    return bad(
         "rate",
-        "bad",
-        got,
-        f"{1 / CONTROL_HZ:g} s",
-        where,
-        "Resample: a command lasts one control step.",
+        got=got,
+        expected=f"{1 / CONTROL_HZ:g} s",
+        where=where,
+        fix="Resample: a command lasts one control step.",
     )
 
 
 def statistics(demos: Demos) -> list[Row]:
     """Least, middle and largest value of what is worth seeing."""
-    every = demos.train + demos.valid
-    actions = np.concatenate([d.actions for d in every])
-    places = np.concatenate([d.eef_pos for d in every])
+    episodes = demos.train + demos.valid
+    actions = np.concatenate([d.actions for d in episodes])
+    places = np.concatenate([d.eef_pos for d in episodes])
     quantities: list[tuple[str, np.ndarray]] = [
-        ("control steps", np.array([d.length for d in every])),
+        ("control steps", np.array([d.length for d in episodes])),
         *((f"command, {name}", x) for name, x in zip(COMMAND, actions.T, strict=True)),
         *((f"grip, {name}", x) for name, x in zip(COMMAND[:3], places.T, strict=True)),
-        ("gripper's changes", np.array([_changes(d) for d in every])),
+        ("gripper's changes", np.array([_changes(d) for d in episodes])),
     ]
     quantities += camera_numbers(demos).items()
     return [

@@ -1,4 +1,4 @@
-"""Frames drawn over pictures: where the grip and the table are by the cameras' own numbers.
+"""Axes drawn over pictures: where grip and table are by the cameras' own numbers.
 
 If the axes do not sit on the fingers and the table, pose, field of view, unit or picture is wrong.
 """
@@ -31,7 +31,7 @@ _BACKGROUND, _INK, _BAR, _GAP = (24, 26, 30), (232, 234, 237), 24, 4
 
 
 class Moment(NamedTuple):
-    """One frame of a dataset."""
+    """One picture of a dataset."""
 
     row: int
     """Of the demonstration."""
@@ -42,11 +42,11 @@ class Moment(NamedTuple):
 
 
 def moments(demos: Demos, count: int) -> list[Moment]:
-    """Frames of so many demonstrations, each at another time and from another camera."""
-    every = demos.train + demos.valid
-    rows = chosen(len(every), count)
+    """Pictures of so many demonstrations, each at another time and from another camera."""
+    episodes = demos.train + demos.valid
+    rows = chosen(len(episodes), count)
     return [
-        Moment(row, every[row].length * i // len(rows), i % len(every[row].cameras))
+        Moment(row, episodes[row].length * i // len(rows), i % len(episodes[row].cameras))
         for i, row in enumerate(rows.tolist())
     ]
 
@@ -57,25 +57,25 @@ def chosen(total: int, count: int) -> np.ndarray:
 
 
 def draw(demos: Demos, shown: Sequence[Moment], painter: Painter) -> np.ndarray:
-    """Frames drawn anew, uint8 [N, H, W, 3]."""
-    every, parts = demos.train + demos.valid, []
+    """Pictures drawn anew, uint8 [N, H, W, 3]."""
+    episodes, parts = demos.train + demos.valid, []
     for row, t, camera in shown:
-        frame = np.array([t * len(every[row].cameras) + camera])
-        parts.append(views_of(every[row], demos, painter.height, frame))
+        number = np.array([t * len(episodes[row].cameras) + camera])
+        parts.append(views_of(episodes[row], demos, painter.height, number))
     return painter.rgb(View(*map(np.concatenate, zip(*parts, strict=True))))
 
 
 def draw_over(picture: np.ndarray, demos: Demos, shown: Moment, scene: World) -> None:
-    """Draws what should be seen over a square frame, in place.
+    """Draws what should be seen over a square picture, in place.
 
     That is the axes of grip and table, and the way of the grip.
     """
     demo, side = (demos.train + demos.valid)[shown.row], len(picture)
     pose = demos.header.world_from_camera[demo.cameras[shown.camera]]
-    seen = Camera(intrinsics(demos.header.fovy_deg, side), pose, side, side)
-    _line(picture, seen, demo.eef_pos, PATH, 1)
-    draw_axes(picture, seen, table_pose(demo, scene), TABLE_LENGTH)
-    draw_axes(picture, seen, grip_pose(demo, shown.t), GRIP_LENGTH)
+    eye = Camera(intrinsics(demos.header.fovy_deg, side), pose, side, side)
+    _line(picture, eye, demo.eef_pos, PATH, 1)
+    draw_axes(picture, eye, table_pose(demo, scene), TABLE_LENGTH)
+    draw_axes(picture, eye, grip_pose(demo, shown.t), GRIP_LENGTH)
 
 
 def grip_pose(demo: Demo, t: int) -> np.ndarray:
@@ -107,9 +107,9 @@ def sheet(pictures: Sequence[np.ndarray], captions: Sequence[str]) -> np.ndarray
     whole = np.full(size, _BACKGROUND, np.uint8)
     for i, (picture, caption) in enumerate(zip(pictures, captions, strict=True)):
         top = _GAP + i // columns * (height + _BAR + _GAP)
-        left = _GAP + i % columns * (width + _GAP)
-        whole[top : top + height, left : left + width] = picture
-        place = (left + 4, top + height + _BAR - 8)
+        start = _GAP + i % columns * (width + _GAP)
+        whole[top : top + height, start : start + width] = picture
+        place = (start + 4, top + height + _BAR - 8)
         cv2.putText(whole, caption, place, cv2.FONT_HERSHEY_SIMPLEX, 0.42, _INK, 1, cv2.LINE_AA)
     return whole
 

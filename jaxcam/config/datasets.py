@@ -1,7 +1,7 @@
 """Settings of the commands that make datasets, replay them or carry them to other formats."""
 
-from dataclasses import dataclass
-from typing import Annotated
+from dataclasses import dataclass, fields
+from typing import Annotated, Self
 
 import tyro
 
@@ -39,6 +39,12 @@ class CollectConfig:
     """Seed of the initial states and of the expert."""
     data_dir: str = "data"
     """Folder of the datasets."""
+
+    @classmethod
+    def of(cls, config: TrainConfig) -> Self:
+        """The dataset that a run trains on; every training seed shares it."""
+        names = [f.name for f in fields(cls) if f.name != "seed"]
+        return cls(**{name: getattr(config, name) for name in names})
 
     def __post_init__(self) -> None:
         check_types(self)

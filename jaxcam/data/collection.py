@@ -14,6 +14,7 @@ from jaxcam.data.replay import replay_all
 from jaxcam.data.writer import DemoWriter
 from jaxcam.errors import SimError
 from jaxcam.files.locks import exclusive
+from jaxcam.files.paths import home
 from jaxcam.rays import sample_poses, stair, stair_cameras
 from jaxcam.rays.rotations import quaternion_from_matrix, rotvec_from_matrix
 from jaxcam.runs.identity import with_task
@@ -41,7 +42,7 @@ def dataset_path(config: CollectConfig) -> Path:
     """Where a dataset lies: its name holds every setting that shapes it."""
     config = with_task(config)
     name = f"{config.task}-{config.scene}-n{config.n}m{config.m}-{config.demos}+{config.validation}"
-    return Path(config.data_dir) / f"{name}-seed{config.seed}.hdf5"
+    return home(config.data_dir) / f"{name}-seed{config.seed}.hdf5"
 
 
 def collect(config: CollectConfig, console: Console | None = None) -> Demos:

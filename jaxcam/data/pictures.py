@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from jaxcam.checks.cameras import require_possible
 from jaxcam.console.progress import progress
+from jaxcam.data.cameras import require_possible
 from jaxcam.data.demos import Demo, Demos, Header
 from jaxcam.data.samples import Layout
 from jaxcam.errors import DatasetError, SimError

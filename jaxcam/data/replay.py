@@ -5,7 +5,6 @@ state that it began in. The paper asks for at least 99 % in each space (section 
 """
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import numpy as np
 from rich.console import Console
@@ -14,6 +13,7 @@ from rich.table import Table
 from jaxcam.config.datasets import ManiskillConfig, ReplayConfig
 from jaxcam.console.progress import progress
 from jaxcam.data.demos import Demo, Header, read_demos
+from jaxcam.files.paths import absolute
 from jaxcam.interop.maniskill_files import is_trajectories
 from jaxcam.sim import make_engine, make_task
 from jaxcam.sim.actions import ACTION_SPACES, controller_of, decode, demo_actions, measured
@@ -132,7 +132,7 @@ def tell(
 
 def main(config: ReplayConfig, console: Console) -> int:
     """Runs the command; its exit code."""
-    path = Path(config.dataset)
+    path = absolute(config.dataset)
     spaces = config.action_space or ACTION_SPACES
     if is_trajectories(path):
         from jaxcam.interop.maniskill import run

@@ -20,6 +20,7 @@ from jaxcam.errors import CheckpointError, JaxcamError
 from jaxcam.evaluation.evaluator import Evaluator, Row
 from jaxcam.files.jsonl import append_jsonl, read_jsonl
 from jaxcam.files.locks import exclusive
+from jaxcam.files.paths import absolute
 from jaxcam.files.video import grid, write_video
 from jaxcam.models import Policy, rebuild_policy
 from jaxcam.reports.run_figures import write_plots
@@ -241,7 +242,7 @@ def evaluate_runs(config: EvaluateConfig, console: Console | None = None) -> Non
     errors = []
     for run in config.run:
         try:
-            evaluate_run(config, Path(run), console)
+            evaluate_run(config, absolute(run), console)
         except JaxcamError as error:  # the other runs do not depend on this one
             if len(config.run) == 1:
                 raise

@@ -13,6 +13,7 @@ from jaxcam.data.demos import Demo, Demos, read_demos
 from jaxcam.data.writer import DemoWriter
 from jaxcam.errors import DatasetError
 from jaxcam.files.locks import exclusive
+from jaxcam.files.paths import home
 from jaxcam.rays.rotations import matrix_from_quaternion
 from jaxcam.runs.identity import with_task
 from jaxcam.sim.engine import Start, State
@@ -47,7 +48,7 @@ def write_dataset(
     Raises:
         DatasetError: if it exists.
     """
-    out = Path(config.out or f"data/{task.name}-{config.scene}-{Path(config.file).stem}.hdf5")
+    out = home(config.out or f"data/{task.name}-{config.scene}-{Path(config.file).stem}.hdf5")
     like = CollectConfig(
         task=task.name, scene=config.scene, demos=train, validation=valid, n=config.n, m=config.m
     )

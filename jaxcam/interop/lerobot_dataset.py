@@ -24,6 +24,7 @@ from jaxcam.data.demos import Demos, read_demos
 from jaxcam.data.pictures import load_frames
 from jaxcam.errors import DatasetError
 from jaxcam.files.locks import exclusive
+from jaxcam.files.paths import home
 from jaxcam.interop.lerobot_format import VERSION, Writer, feature, video_feature, write_json
 from jaxcam.sim import make_task
 from jaxcam.sim.actions import is_joint
@@ -48,7 +49,7 @@ def export(config: LerobotConfig, console: Console | None = None) -> Path:
         DatasetError: if the dataset cannot be read, has no such demonstrations, or the folder
             exists.
     """
-    demos, out = read_demos(Path(config.dataset)), Path(config.out)
+    demos, out = read_demos(home(config.dataset)), home(config.out)
     chosen = range(len(demos.train), len(demos.train) + len(demos.valid))
     if not config.validation:
         chosen = range(len(demos.train))

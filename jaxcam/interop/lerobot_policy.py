@@ -19,6 +19,7 @@ from rich.console import Console
 from jaxcam.config.commands import WeightsConfig
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import CheckpointError
+from jaxcam.files.paths import absolute
 from jaxcam.interop.lerobot_layout import (
     ACTION,
     IMAGE,
@@ -256,11 +257,11 @@ def _image_scaling(scales: Arrays, images: list[str]) -> str:
 def main(config: WeightsConfig, console: Console) -> None:
     """Runs `python -m jaxcam.weights`."""
     if config.export:
-        export(load_policy_inputs(config.source, config.step), Path(config.export))
+        export(load_policy_inputs(config.source, config.step), absolute(config.export))
         print(f"{config.export}: a LeRobot {VERSION} checkpoint.")
     elif config.run_dir:
         names = {k: getattr(config, k) for k in ("task", "scene", "action_space", "run_dir")}
-        adopt(Path(config.source), TrainConfig(**names))
+        adopt(absolute(config.source), TrainConfig(**names))
         print(f"{config.run_dir}: a run. Next: python -m jaxcam.evaluate {config.run_dir}")
     else:
         show(read_weights(config.source))

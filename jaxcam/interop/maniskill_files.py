@@ -21,6 +21,7 @@ import numpy as np
 from jaxcam.config.datasets import ManiskillConfig
 from jaxcam.data.demos import Demo
 from jaxcam.errors import DatasetError, JaxcamError, closest
+from jaxcam.files.paths import home
 from jaxcam.interop.maniskill_actions import grip_targets, gripper_signs
 from jaxcam.rays.rotations import quaternion_from_matrix, rotvec_from_matrix
 from jaxcam.sim import make_task
@@ -77,7 +78,7 @@ def read_source(config: ManiskillConfig) -> Source:
     Raises:
         DatasetError: if they are missing, not ManiSkill's, or of a task that we have not.
     """
-    path = Path(config.file)
+    path = home(config.file)
     if not path.is_file():
         raise DatasetError(f"{path}: no such file.")
     about = path.with_suffix(".json")

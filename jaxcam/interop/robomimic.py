@@ -22,6 +22,7 @@ from jaxcam.data.collection import FIRST_SEED
 from jaxcam.data.demos import Demo, Demos
 from jaxcam.data.replay import replay_all
 from jaxcam.errors import ConfigError, DatasetError, JaxcamError, closest
+from jaxcam.files.paths import home
 from jaxcam.interop.importing import succeeds, write_dataset
 from jaxcam.interop.robosuite_model import (
     Controller,
@@ -124,7 +125,7 @@ def import_demos(config: RobomimicConfig, console: Console | None = None) -> Dem
 
 @contextlib.contextmanager
 def _source(config: RobomimicConfig) -> Iterator[Source]:
-    path = Path(config.file)
+    path = home(config.file)
     if not path.is_file():
         raise DatasetError(f"{path}: no such file.")
     try:

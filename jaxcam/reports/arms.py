@@ -15,6 +15,7 @@ from jaxcam.config.fields import from_json
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
 from jaxcam.files.jsonl import append_jsonl, read_jsonl, write_atomically
+from jaxcam.files.paths import absolute
 from jaxcam.results.protocol import Protocol, counted, lacks, protocol_of
 from jaxcam.results.stats import USUAL, Estimate, Row, latest_rows, success_rate
 from jaxcam.runs.identity import FREE_TO_CHANGE, resolve
@@ -134,7 +135,7 @@ def read_runs(paths: Iterable[str | Path], split: str = "test") -> list[Run]:
             of one run is not the pair of that number in another.
     """
     runs: dict[str, Run] = {}
-    for path in map(Path, paths):
+    for path in map(absolute, paths):
         found = list(_find(path))
         if not found:
             raise ConfigError(

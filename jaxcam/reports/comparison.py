@@ -13,6 +13,7 @@ from rich.console import Console
 
 from jaxcam.config.commands import ReportConfig
 from jaxcam.files.jsonl import write_atomically
+from jaxcam.files.paths import absolute
 from jaxcam.reports import paper
 from jaxcam.reports.arms import Arm, Run, group, read_runs, write_results
 from jaxcam.reports.camera_figures import rate_by_camera
@@ -180,7 +181,7 @@ def _relative(file: Path, folder: Path) -> str:
 def main(config: ReportConfig, console: Console) -> None:
     """Runs the command."""
     runs = read_runs(config.runs, config.split)
-    written = write_comparison(runs, Path(config.out), config.split)
+    written = write_comparison(runs, absolute(config.out), config.split)
     for arm in group(runs):
         s = arm.settings
         name = " ".join(str(s[k]) for k in ("policy", "task", "scene", "conditioning"))

@@ -19,6 +19,7 @@ from jaxcam.config.fields import from_json, to_json
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
 from jaxcam.files.jsonl import append_jsonl, line_of, read_jsonl, write_atomically
+from jaxcam.files.paths import absolute
 from jaxcam.runs.environment import environment, git_revision
 from jaxcam.runs.identity import differences, resolve
 
@@ -54,7 +55,7 @@ class RunDir:
             ConfigError: The folder cannot be written, has no space, is in use, or is of a run with
                 another configuration. It is then left as it was.
         """
-        path = Path(config.run_dir).absolute()
+        path = absolute(config.run_dir)
         _check_writable(path, min_free)
         run = cls(path, _lock(path / "lock"))
         try:

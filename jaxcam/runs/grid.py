@@ -29,6 +29,7 @@ from jaxcam.config.presets import NAMES
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, closest
 from jaxcam.files.jsonl import read_jsonl
+from jaxcam.files.paths import home
 from jaxcam.reports.arms import changes, identity, plain
 from jaxcam.results.protocol import missing, protocol_of
 from jaxcam.results.stats import USUAL, Estimate, latest_rows, success_rate
@@ -138,7 +139,7 @@ def read_grid(path: str | Path) -> Grid:
     Raises:
         ConfigError: It is no such file, or an entry, a setting or a value in it is unknown.
     """
-    path = Path(path)
+    path = home(path)
     try:
         content = yaml.safe_load(path.read_text("utf-8"))
     except (OSError, yaml.YAMLError) as error:
@@ -159,10 +160,10 @@ def read_grid(path: str | Path) -> Grid:
         place = f"{where}, run {i}"
         values = {**shared, **_mapping(place, block, _FIELDS)}
         for given in _combinations(place, values):
-            planned = _plan(place, Path(content["runs_dir"]), given, protocol)
+            planned = _plan(place, home(content["runs_dir"]), given, protocol)
             runs.setdefault(planned.folder, planned)
     slurm = content.get("slurm") or {}
-    return Grid(content.get("title", path.stem), Path(content["runs_dir"]), [*runs.values()], slurm)
+    return Grid(content.get("title", path.stem), home(content["runs_dir"]), [*runs.values()], slurm)
 
 
 def progress_of(run: Planned) -> Progress:

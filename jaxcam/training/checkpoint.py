@@ -25,6 +25,7 @@ import orbax.checkpoint as ocp
 from jaxcam.config.fields import from_json
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import CheckpointError
+from jaxcam.files.paths import absolute
 from jaxcam.runs.environment import package_versions
 from jaxcam.training.digests import (
     DamagedError,
@@ -110,7 +111,7 @@ class Checkpoints:
     """
 
     def __init__(self, directory: str | Path, *, keep: int = 10) -> None:
-        self._directory = Path(directory).absolute()
+        self._directory = absolute(directory)
         self._directory.mkdir(parents=True, exist_ok=True)
         _remove_unfinished(self._directory)
         self._keep = keep
@@ -246,7 +247,7 @@ def load_policy_inputs(run_dir: str | Path, step: int | None = None) -> PolicyIn
     Raises:
         CheckpointError: There is no such checkpoint, it is damaged, or it is of another version.
     """
-    directory = Path(run_dir).absolute() / "checkpoints"
+    directory = absolute(run_dir) / "checkpoints"
     known = _steps(directory)
     if not known:
         raise CheckpointError(f"No checkpoint in {directory}. Train first, or check the path.")
@@ -276,7 +277,7 @@ def load_policy_inputs(run_dir: str | Path, step: int | None = None) -> PolicyIn
 
 def checkpoint_steps(run_dir: str | Path) -> list[int]:
     """Steps of a run folder that have a checkpoint, oldest first."""
-    return _steps(Path(run_dir) / "checkpoints")
+    return _steps(absolute(run_dir) / "checkpoints")
 
 
 def _steps(directory: Path) -> list[int]:

@@ -17,6 +17,7 @@ import numpy as np
 import orbax.checkpoint as ocp
 
 from jaxcam.files.jsonl import write_atomically
+from jaxcam.files.paths import absolute
 
 FILES = "files.json"
 """File of a checkpoint with the digests of all its others."""
@@ -144,12 +145,14 @@ def _read_items(folder: Path, manifest: dict[str, Any], items: set[str]) -> dict
 
 def read_all(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """Manifest and all arrays of a checkpoint; `DamagedError` if anything has changed."""
+    folder = absolute(folder)  # orbax takes no other path
     manifest = _read_manifest(folder)
     return manifest, _read_items(folder, manifest, {item_of(n) for n in manifest["leaves"]})
 
 
 def read_params(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """Like `read_all`, but only the parameters to evaluate: the moving average if there is one."""
+    folder = absolute(folder)
     manifest = _read_manifest(folder)
     has_ema = any(item_of(n) == "ema" for n in manifest["leaves"])
     return manifest, _read_items(folder, manifest, {"ema" if has_ema else "params"})

@@ -1,6 +1,7 @@
 """Demonstration files: their layout, resuming a killed collection, and every kind of damage."""
 
 import json
+import logging
 import shutil
 import signal
 import subprocess
@@ -17,6 +18,7 @@ from jaxcam.data.demos import read_demos
 from jaxcam.data.writer import DemoWriter
 from jaxcam.errors import DatasetError
 from jaxcam.rays import stair_cameras
+from jaxcam.rays._checks import ROTATION_TOLERANCE
 
 LAYOUT = {
     "states",
@@ -252,3 +254,34 @@ def test_a_folder_that_cannot_be_made(tmp_path):
     config = CollectConfig(**TINY, data_dir=str(tmp_path / "file" / "data"))
     with pytest.raises(DatasetError, match=r"Cannot write to .*--data-dir"):
         collect(config)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda f: f.create_group("traj_0"), "python -m jaxcam.maniskill"),
+        (lambda f: f.create_group("data").attrs.__setitem__("env_args", "{}"), "jaxcam.robomimic"),
+        (lambda f: f.create_group("data").attrs.__setitem__("env", "Lift"), "convert_robosuite"),
+        (lambda f: f.create_group("observations"), r"found \['observations'\].*docs/data.md"),
+    ],
+)
+def test_files_in_other_layouts_are_told_what_to_do_with(tmp_path, make, words):
+    path = tmp_path / "other.hdf5"
+    with h5py.File(path, "w") as file:
+        make(file)
+    with pytest.raises(DatasetError, match=words):
+        read_demos(path)
+
+
+def test_rounded_rotations_are_made_rotations_again_and_told_once(copy, caplog):
+    with h5py.File(copy, "r+") as file:
+        del file["data"].attrs["sha256"]
+        poses = file["cameras/world_from_camera"]
+        poses[...] = np.round(poses[...], 4)
+    with caplog.at_level(logging.WARNING):
+        poses = read_demos(copy).header.world_from_camera
+    assert len(caplog.records) == 1
+    assert "rotations of 8 of 8 cameras are rounded" in caplog.text
+    rotation = poses[:, :3, :3]
+    error = abs(rotation.swapaxes(-1, -2) @ rotation - np.eye(3)).max()
+    assert error < 1e-12 < ROTATION_TOLERANCE

@@ -9,7 +9,7 @@ from conftest import PIXELS
 
 from jaxcam.data import pictures as frames_module
 from jaxcam.data.pictures import intrinsics, load_frames
-from jaxcam.errors import DatasetError
+from jaxcam.errors import DatasetError, SimError
 from jaxcam.rays import Camera
 from jaxcam.sim.mujoco.render import Renderer, View
 
@@ -159,3 +159,54 @@ def test_intrinsics_are_of_the_whole_picture():
     camera = Camera(intrinsics(45, 84), np.eye(4), 84, 84).validate()
     np.testing.assert_allclose(np.rad2deg(camera.fovy), 45, rtol=1e-6)
     np.testing.assert_allclose(intrinsics(45, 84)[:2, 2], 42)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda c, x: c.write_bytes(c.read_bytes()[:5000]), "5000 bytes that cannot be read"),
+        (lambda c, x: c.write_bytes(b""), "0 bytes that cannot be read"),
+        (lambda c, x: np.save(c, x[:, :12]), r"should be uint8 .* but are uint8 .*12, 24, 3"),
+        (lambda c, x: np.save(c, x[:-1]), "should be uint8"),
+        (lambda c, x: np.save(c, x / np.float32(255)), "but are float32"),
+    ],
+)
+def test_a_cache_that_is_not_what_was_written_is_refused(elsewhere, frames, change, words):
+    (elsewhere.path.parent / "frames").mkdir()
+    name = f"{elsewhere.path.stem}-{elsewhere.fingerprint}-{PIXELS}px-{Renderer.identity()}.npy"
+    cache = elsewhere.path.parent / "frames" / name
+    np.save(cache, frames.pictures)
+    change(cache, np.array(frames.pictures))
+    with pytest.raises(DatasetError, match=words) as error:
+        load_frames(elsewhere, PIXELS)
+    assert f"{cache}: " in str(error.value)
+    assert "Delete the file; they are drawn anew" in str(error.value)
+
+
+@pytest.fixture
+def black(monkeypatch):
+    """Makes all pictures of the next so many renderers black, whenever those draw."""
+
+    def break_next(count):
+        draw, broken = Renderer.rgb, []
+
+        def rgb(self, view):
+            if self not in broken and len(broken) < count:
+                broken.append(self)
+            return draw(self, view) * (self not in broken)
+
+        monkeypatch.setattr(Renderer, "rgb", rgb)
+
+    return break_next
+
+
+def test_black_pictures_are_drawn_by_another_renderer_once(elsewhere, frames, black):
+    black(1)
+    np.testing.assert_array_equal(load_frames(elsewhere, PIXELS).pictures, frames.pictures)
+
+
+def test_pictures_that_stay_black_are_refused(elsewhere, black):
+    black(2)
+    with pytest.raises(SimError, match="of one colour, and again with another renderer"):
+        load_frames(elsewhere, PIXELS)
+    assert not [name for name in pictures_in(elsewhere) if name.endswith(".npy")]

@@ -19,6 +19,7 @@ import numpy as np
 
 from jaxcam.errors import CheckpointError
 from jaxcam.files.jsonl import write_atomically
+from jaxcam.files.paths import absolute
 from jaxcam.models.policy import Params
 from jaxcam.models.weights.names import MAPS, NameMap, recognise
 from jaxcam.models.weights.torch_files import read_torch
@@ -49,7 +50,7 @@ def read_weights(path: str | Path) -> Weights:
     Raises:
         CheckpointError: There is no such file, or it is not whole or not of these kinds.
     """
-    path = Path(path)
+    path = absolute(path)
     if path.is_dir():
         raise CheckpointError(
             f"{path} is a folder. Of a run, write a LeRobot checkpoint with --export FOLDER; of a "

@@ -1,0 +1,72 @@
+"""Whether the evaluations of a run are whole: an outcome, and one only, for each of their pairs."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from jaxcam.checks.findings import Finding, bad, good, note
+from jaxcam.console.words import some
+from jaxcam.errors import JaxcamError
+from jaxcam.files.jsonl import read_jsonl
+from jaxcam.results.stats import USUAL, Row, is_finished, latest_rows
+
+
+def check_evaluations(folder: Path, pairs: int) -> Iterator[Finding]:
+    """Whether each evaluated checkpoint has an outcome for each of its pairs.
+
+    Args:
+        folder: Of the run.
+        pairs: Pairs that the run's settings ask for; an evaluation may have more.
+    """
+    try:
+        rows = [USUAL | row for row in read_jsonl(folder / "eval" / "rows.jsonl")]
+    except JaxcamError as error:
+        yield bad("evaluation", got=str(error), fix="Cut the file before that line.")
+        return
+    if not rows:
+        yield note("evaluation", got="none yet", fix=f"python -m jaxcam.evaluate {folder}")
+        return
+    yield from _several_outcomes(rows)
+    cells: dict[tuple[Any, Any], list[Row]] = {}
+    for row in latest_rows(rows):
+        cells.setdefault((row.get("split", "test"), row.get("step")), []).append(row)
+    most: dict[Any, int] = {}
+    for (split, _), cell in cells.items():
+        most[split] = max(most.get(split, 0), len(cell))
+    for (split, step), cell in sorted(cells.items(), key=str):
+        asked = max(min(pairs, most[split]), 1 + max(row["pair"] for row in cell))
+        again = f"python -m jaxcam.evaluate {folder} --split {split} --step {step} --pairs {asked}"
+        yield _outcomes(cell, asked, f"{split}, step {step}", again)
+
+
+def _several_outcomes(rows: Sequence[Row]) -> Iterator[Finding]:
+    """A finding where rollouts have more outcomes than one."""
+    count = Counter(_rollout(row) for row in rows if is_finished(row))
+    twice = [rollout for rollout, outcomes in count.items() if outcomes > 1]
+    if twice:
+        yield bad(
+            "evaluation",
+            got=f"{len(twice)} rollouts have several outcomes",
+            expected="one",
+            where=f"pair {some([rollout[-1] for rollout in twice])}",
+            fix="Two processes wrote, or files were joined: keep the first of each.",
+        )
+
+
+def _rollout(row: Row) -> tuple[Any, ...]:
+    """What tells a row's rollout from others of its run."""
+    names = ("split", "step", "width", "engine", "ensemble", "pair")
+    return tuple(row.get(name) for name in names)
+
+
+def _outcomes(rows: Sequence[Row], asked: int, where: str, again: str) -> Finding:
+    """Whether one evaluation's rows are all that was asked for; `again` runs what is missing."""
+    done = sum(map(is_finished, rows))
+    got = f"{done} of {asked} pairs have an outcome"
+    if done == asked:
+        return good("evaluation", got=got, where=where)
+    if failed := len(rows) - done:
+        got += f"; {failed} ended in an error"
+    fix = f"Run what is missing: {again}"
+    return note("evaluation", got=got, expected=f"{asked}", where=where, fix=fix)

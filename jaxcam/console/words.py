@@ -1,0 +1,9 @@
+"""Words of messages that several packages have in common."""
+
+from collections.abc import Sequence
+
+
+def some(names: Sequence[object], most: int = 5) -> str:
+    """The first `most` names of a list, and how many more there are."""
+    rest = len(names) - most
+    return ", ".join(map(str, names[:most])) + (f" and {rest} more" if rest > 0 else "")

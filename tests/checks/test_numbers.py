@@ -1,0 +1,68 @@
+"""Numbers of demonstrations that make no sense, and what the doctor says of each."""
+
+import numpy as np
+import pytest
+from spoilt import change_all, findings_in, put, spoil, unsealed
+
+
+@pytest.fixture
+def copy(demos, tmp_path):
+    return unsealed(demos, tmp_path)
+
+
+CASES = {
+    "a gripper from 0 to 1": (
+        lambda f: change_all(f, "actions", lambda a: np.hstack([a[:, :6], (a[:, 6:] + 1) / 2])),
+        "gripper", "bad", "0 to 1",
+    ),
+    "a gripper in millimetres": (
+        lambda f: change_all(f, "actions", lambda a: np.hstack([a[:, :6], a[:, 6:] * 40])),
+        "gripper", "bad", "-40 to 40",
+    ),
+    "a gripper that never moves": (
+        lambda f: change_all(f, "actions", lambda a: np.hstack([a[:, :6], 0 * a[:, 6:] - 1])),
+        "gripper", "note", "never changes",
+    ),
+    "a constant": (
+        lambda f: change_all(f, "actions", lambda a: a * (np.arange(7) != 4)),
+        "constant commands", "note", "turn y",
+    ),
+    "commands in millimetres": (
+        lambda f: change_all(f, "actions", lambda a: a * ([1000] * 3 + [1] * 4)),
+        "commands", "bad", "m from where the grip",
+    ),
+    "deltas": (
+        lambda f: change_all(
+            f, "actions",
+            lambda a: np.hstack([np.diff(a[:, :3], axis=0, prepend=a[:1, :3]), a[:, 3:]]),
+        ),
+        "commands", "bad", "m from where the grip",
+    ),
+    "a leap": (
+        lambda f: f["data/demo_3/actions"].__setitem__((20, 0), 0.5), "commands", "note", "leap",
+    ),
+    "another rate": (
+        lambda f: change_all(f, "states", lambda s: s * ([2] + [1] * (s.shape[1] - 1))),
+        "rate", "bad", "0.1 to 0.1 s apart",
+    ),
+    "a short one": (
+        lambda f: [
+            put(f, f"data/demo_1/{name}", f[f"data/demo_1/{name}"][: 6 + (name != "actions")])
+            for name in (
+                "states", "actions", "obs/robot0_eef_pos", "obs/robot0_eef_quat",
+                "obs/robot0_gripper",
+            )
+        ],
+        "lengths", "note", "6 to ",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_is_odd_is_found(copy, case):
+    change, what, mark, words = CASES[case]
+    assert findings_in(copy)[what].mark == "good"
+    spoil(copy, change)
+    finding = findings_in(copy)[what]
+    assert finding.mark == mark, finding
+    assert words in finding.got
