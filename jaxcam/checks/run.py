@@ -17,8 +17,10 @@ from jaxcam.data.demos import read_demos
 from jaxcam.errors import JaxcamError
 from jaxcam.files.jsonl import read_jsonl
 from jaxcam.pipeline import collect_config
-from jaxcam.results.stats import USUAL, Row, is_finished, latest_rows
+from jaxcam.results.rows import Row
+from jaxcam.results.stats import latest_rows
 from jaxcam.runs.environment import environment
+from jaxcam.runs.rollouts import read_rows, rows_file
 from jaxcam.training.checkpoint import CONVENTION, checkpoint_steps
 from jaxcam.training.digests import DamagedError, read_all
 
@@ -169,14 +171,14 @@ def _metrics(folder: Path) -> Finding:
 def _evaluations(folder: Path, pairs: int) -> Iterator[Finding]:
     """Whether each evaluated checkpoint has an outcome for each of its pairs, `pairs` or more."""
     try:
-        rows = [USUAL | row for row in read_jsonl(folder / "eval" / "rows.jsonl")]
+        rows = read_rows(rows_file(folder))
     except JaxcamError as error:
         yield Finding("evaluation", "bad", str(error), fix="Cut the file before that line.")
         return
     if not rows:
         yield Finding("evaluation", "note", "none yet", fix=f"python -m jaxcam.evaluate {folder}")
         return
-    twice = [key for key, n in Counter(_key(r) for r in rows if is_finished(r)).items() if n > 1]
+    twice = [key for key, n in Counter(_key(r) for r in rows if r.finished).items() if n > 1]
     if twice:
         yield Finding(
             "evaluation",
@@ -188,12 +190,12 @@ def _evaluations(folder: Path, pairs: int) -> Iterator[Finding]:
         )
     cells: dict[Any, list[Row]] = {}
     for row in latest_rows(rows):
-        cells.setdefault((row.get("split", "test"), row.get("step")), []).append(row)
+        cells.setdefault((row.split, row.step), []).append(row)
     most = {split: max(len(c) for (s, _), c in cells.items() if s == split) for split, _ in cells}
     for (split, step), cell in sorted(cells.items(), key=str):
-        done = sum(map(is_finished, cell))
+        done = sum(row.finished for row in cell)
         lost = len(cell) - done
-        asked = max(min(pairs, most[split]), 1 + max(row["pair"] for row in cell))
+        asked = max(min(pairs, most[split]), 1 + max(row.pair for row in cell))
         got = f"{done} of {asked} pairs have an outcome"
         where = f"{split}, step {step}"
         if done == asked:
@@ -205,8 +207,7 @@ def _evaluations(folder: Path, pairs: int) -> Iterator[Finding]:
 
 
 def _key(row: Row) -> tuple[Any, ...]:
-    names = ("split", "step", "width", "engine", "ensemble", "pair")
-    return tuple(row.get(name) for name in names)
+    return row.split, row.step, row.width, row.engine, row.ensemble, row.pair
 
 
 def _environment(folder: Path) -> Finding:

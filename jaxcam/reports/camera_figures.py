@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from jaxcam.reports.style import BLUE, GREY, RATE, VERMILION, panels, percent, styled
-from jaxcam.results.stats import Row, is_finished, wilson
+from jaxcam.results.rows import Row
+from jaxcam.results.stats import wilson
 
 
 @styled
@@ -161,10 +162,9 @@ def rate_by_camera(rows: Iterable[Row]) -> np.ndarray:
     """[cameras, 4]: azimuth, elevation, success rate, rollouts."""
     outcomes: dict[tuple[float, float], list[float]] = {}
     for row in rows:
-        angles = (row.get("azimuth_deg"), row.get("elevation_deg"))
-        if is_finished(row) and angles[0] is not None and angles[1] is not None:
-            key = (round(float(angles[0]), 3), round(float(angles[1]), 3))
-            outcomes.setdefault(key, []).append(float(row["success"]))
+        if row.finished and row.azimuth_deg is not None and row.elevation_deg is not None:
+            key = (round(float(row.azimuth_deg), 3), round(float(row.elevation_deg), 3))
+            outcomes.setdefault(key, []).append(float(row.success or 0))
     table = [(*key, np.mean(values), len(values)) for key, values in outcomes.items()]
     return np.array(table, float).reshape(-1, 4)
 

@@ -17,8 +17,12 @@ from jaxcam.files.jsonl import read_jsonl, write_atomically
 from jaxcam.reports import html as page
 from jaxcam.reports.arms import plain, training_seconds
 from jaxcam.reports.html import section
-from jaxcam.results.stats import Estimate, Row, by_field, is_finished, latest_rows, success_rate
+from jaxcam.results.rows import Row
+from jaxcam.results.stats import Estimate, by_field, latest_rows, success_rate
 from jaxcam.runs.identity import differences, resolve
+from jaxcam.runs.rollouts import read_rows, rows_file
+
+Metrics = Sequence[Mapping[str, Any]]
 
 _PLOTS = {
     "success_map": "Each held-out camera by direction; the side panels bin one angle at a time.",
@@ -52,9 +56,10 @@ def write_report(run_dir: str | Path) -> Path:
         raise ConfigError(f"{run} is not the folder of a run: it has no config.json.")
     config = from_json(TrainConfig, (run / "config.json").read_text("utf-8"))
     metrics = read_jsonl(run / "metrics.jsonl")
-    rows = [r for r in latest_rows(read_jsonl(run / "eval" / "rows.jsonl")) if _is_held_out(r)]
-    newest = max((row.get("step") or 0 for row in rows), default=0)
-    shown = [row for row in rows if (row.get("step") or 0) == newest]
+    # Rows of validation pairs serve to choose settings; they are no result.
+    rows = [row for row in latest_rows(read_rows(rows_file(run))) if row.split == "test"]
+    newest = max((row.step for row in rows), default=0)
+    shown = [row for row in rows if row.step == newest]
     sections = (
         _summary(config, metrics, shown, newest),
         section("Results", _figures(run / "plots")),
@@ -93,11 +98,11 @@ def reproduce_command(config: TrainConfig) -> str:
     return shlex.join(words)
 
 
-def _summary(config: TrainConfig, metrics: Sequence[Row], rows: Sequence[Row], step: int) -> str:
+def _summary(config: TrainConfig, metrics: Metrics, rows: Sequence[Row], step: int) -> str:
     """The success rate, large, beside the facts of the run."""
     estimate = success_rate(rows)
     trained = int(max((row.get("step", 0) for row in metrics), default=0))
-    lengths = [row["steps"] for row in rows if is_finished(row) and row["success"]]
+    lengths = [row.steps or 0 for row in rows if row.finished and row.success]
     facts = {
         "Task": config.task,
         "Scene": config.scene,
@@ -176,13 +181,13 @@ def _rollouts(rows: Sequence[Row]) -> str:
     outcome = {True: "success", False: "failure"}
     body = [
         (
-            row["pair"], row.get("seed", ""),
-            outcome[bool(row["success"])] if is_finished(row) else "did not finish",
-            row.get("steps", ""), _degrees(row.get("azimuth_deg")),
-            _degrees(row.get("elevation_deg")),
-            "" if row.get("distance") is None else f"{row['distance']:.2f} m",
+            row.pair, "" if row.seed is None else row.seed,
+            outcome[bool(row.success)] if row.finished else "did not finish",
+            "" if row.steps is None else row.steps, _degrees(row.azimuth_deg),
+            _degrees(row.elevation_deg),
+            "" if row.distance is None else f"{row.distance:.2f} m",
         )
-        for row in sorted(rows, key=lambda row: (row["pair"], row.get("seed") or 0))
+        for row in sorted(rows, key=lambda row: (row.pair, row.seed or 0))
     ]  # fmt: skip
     head = ("pair", "seed", "outcome", "steps", "azimuth", "elevation", "distance")
     return page.folded(f"{len(body)} rollouts", page.table(head, body))
@@ -193,7 +198,7 @@ def _checkpoints(rows: Sequence[Row]) -> str:
     by_step = by_field(rows, "step")
     if len(by_step) < 2:
         return ""
-    body = [(f"{step or 0:,}", success_rate(by_step[step])) for step in sorted(by_step)]
+    body = [(f"{step:,}", success_rate(by_step[step])) for step in sorted(by_step)]
     return page.card(page.table(("step", "success"), body))
 
 
@@ -227,11 +232,6 @@ def _environment(file: Path) -> str:
         return ""
     text = escape(file.read_text("utf-8").strip())
     return page.folded("Versions and devices", f"<pre>{text}</pre>")
-
-
-def _is_held_out(row: Row) -> bool:
-    """Rows of validation pairs serve to choose settings; they are no result."""
-    return row.get("split", "test") == "test"
 
 
 def _degrees(value: float | None) -> str:

@@ -135,7 +135,7 @@ def runs_table(runs: Iterable[Run], links: Mapping[str, Sequence[Link]]) -> Tabl
         films = links.get(run.name, ())
         rows.append([
             run.name, str(run.seed), arm.label(), f"{len(steps)}",
-            f"{max((s or 0 for s in steps), default=0):,}", str(estimate.n),
+            f"{max(steps, default=0):,}", str(estimate.n),
             str(estimate.excluded), _rate(estimate.value, estimate.low, estimate.high), hours,
             films[0] if films else NONE,
         ])  # fmt: skip

@@ -3,22 +3,21 @@
 A *pair* is one held-out (initial state, camera pose). Rollouts of several seeds or checkpoints on
 the same pair are not independent, so every interval resamples pairs, never single rollouts. It
 therefore speaks about new pairs of the same kind, not about seeds that were never trained. All
-functions take evaluation rows (one dict a rollout) and are deterministic.
+functions are deterministic.
 """
 
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
 
-Row = Mapping[str, Any]
+from jaxcam.results.rows import Row
 
-USUAL: dict[str, Any] = {"engine": "native", "ensemble": 0.0}
-"""What rows lack that were written before there was a choice."""
 LEVEL = 0.95
 _Z = 1.959963984540054  # normal quantile of the two-sided 95 % interval
-_RESAMPLES = 10_000
+RESAMPLES = 10_000
 _EXACT_FLIPS = 12  # up to 2^12 sign patterns are enumerated instead of sampled
 _BLOCK = 4_000_000  # drawn indices held in memory at once
 
@@ -165,21 +164,18 @@ def latest_rows(rows: Iterable[Row]) -> list[Row]:
     Returns:
         One row for each (task, scene, run, policy, conditioning, seed, step, split, pair).
     """
-    names = ("task", "scene", "run", "policy", "conditioning", "seed", "step", "split")
-    ways: dict[tuple[Any, ...], tuple[Any, ...]] = {}
-    latest: dict[tuple[Any, ...], dict[Any, Row]] = {}
+    evaluation_of = attrgetter(
+        "task", "scene", "run", "policy", "conditioning", "seed", "step", "split"
+    )
+    way_of = attrgetter("width", "engine", "ensemble")
+    ways: dict[Hashable, Hashable] = {}
+    latest: dict[Hashable, dict[int, Row]] = {}
     for row in rows:
-        evaluation = tuple(row.get(name) for name in names)
-        way = row.get("width"), *(row.get(name, value) for name, value in USUAL.items())
+        evaluation, way = evaluation_of(row), way_of(row)
         if ways.get(evaluation) != way:
             ways[evaluation], latest[evaluation] = way, {}
-        latest[evaluation][row.get("pair")] = row
+        latest[evaluation][row.pair] = row
     return [row for pairs in latest.values() for row in pairs.values()]
-
-
-def is_finished(row: Row) -> bool:
-    """Whether the rollout of this row ran to its end and has an outcome."""
-    return row.get("status") == "ok" and row.get("success") is not None
 
 
 def by_field(rows: Sequence[Row], name: str) -> dict[Any, list[Row]]:
@@ -194,7 +190,7 @@ def by_field(rows: Sequence[Row], name: str) -> dict[Any, list[Row]]:
     """
     groups: dict[Any, list[Row]] = {}
     for row in rows:
-        groups.setdefault(row.get(name), []).append(row)
+        groups.setdefault(getattr(row, name), []).append(row)
     return groups
 
 
@@ -203,12 +199,12 @@ def _by_pair(rows: Iterable[Row]) -> tuple[dict[Hashable, list[float]], int]:
     groups: dict[Hashable, list[float]] = {}
     excluded = 0
     for row in rows:
-        if not is_finished(row):
+        if not row.finished:
             excluded += 1
             continue
         # Pair 3 of one task is not pair 3 of another.
-        key = (row.get("task"), row.get("scene"), row.get("split"), row["pair"])
-        groups.setdefault(key, []).append(float(row["success"]))
+        key = (row.task, row.scene, row.split, row.pair)
+        groups.setdefault(key, []).append(float(row.success or 0))
     return groups, excluded
 
 
@@ -224,8 +220,8 @@ def _bootstrap(
     rng = np.random.default_rng(0)
     block = max(_BLOCK // count, 1)
     estimates: list[np.ndarray] = []
-    for start in range(0, _RESAMPLES, block):
-        drawn = rng.integers(0, count, (min(block, _RESAMPLES - start), count), dtype=np.int32)
+    for start in range(0, RESAMPLES, block):
+        drawn = rng.integers(0, count, (min(block, RESAMPLES - start), count), dtype=np.int32)
         estimates.append(sums[drawn].sum(1) / sizes[drawn].sum(1))
     tail = (1 - LEVEL) / 2
     low, high = np.quantile(np.concatenate(estimates), [tail, 1 - tail])
@@ -244,11 +240,11 @@ def _sign_flip_p(deltas: np.ndarray) -> float:
     rng = np.random.default_rng(0)
     block = max(_BLOCK // len(moving), 1)
     as_large = 0
-    for start in range(0, _RESAMPLES, block):
-        shape = (min(block, _RESAMPLES - start), len(moving))
+    for start in range(0, RESAMPLES, block):
+        shape = (min(block, RESAMPLES - start), len(moving))
         signs = 1 - 2 * rng.integers(0, 2, shape, dtype=np.int8)
         as_large += int(np.sum(np.abs(signs @ moving) >= observed))
-    return (1 + as_large) / (1 + _RESAMPLES)
+    return (1 + as_large) / (1 + RESAMPLES)
 
 
 def p_text(p_value: float) -> str:

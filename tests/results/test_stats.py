@@ -1,16 +1,26 @@
 """Statistics: hand-computed cases, interval coverage by simulation, null and power of the test."""
 
+import functools
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from jaxcam.results import stats
+from jaxcam.results.rows import Row
 from jaxcam.results.stats import Estimate, latest_rows, paired_difference, success_rate, wilson
+
+
+@functools.cache
+def row_of(pair, seed, success, **fields):
+    """Simulations ask for the same rows hundreds of times."""
+    return Row(pair=pair, seed=seed, success=success, status="ok", **fields)
 
 
 def rows_of(outcomes, **fields):
     """Finished rows; outcomes[pair, seed]."""
     return [
-        {"pair": pair, "seed": seed, "success": bool(value), "status": "ok", **fields}
+        row_of(pair, seed, bool(value), **fields)
         for pair, of_pair in enumerate(np.atleast_2d(outcomes))
         for seed, value in enumerate(of_pair)
     ]
@@ -24,7 +34,7 @@ def column(outcomes, **fields):
 @pytest.fixture
 def few_resamples(monkeypatch):
     """Enough for a simulation over hundreds of data sets."""
-    monkeypatch.setattr(stats, "_RESAMPLES", 400)
+    monkeypatch.setattr(stats, "RESAMPLES", 400)
 
 
 def test_wilson_against_hand_computed_values():
@@ -63,7 +73,7 @@ def test_repeating_a_rollout_does_not_narrow_the_interval():
 
 
 def test_unequal_clusters_pool_the_rollouts():
-    rows = rows_of([[1, 1, 1]]) + [{**row, "pair": 1} for row in rows_of([[0]])]
+    rows = rows_of([[1, 1, 1]]) + [replace(row, pair=1) for row in rows_of([[0]])]
     assert success_rate(rows).value == 0.75
 
 
@@ -81,8 +91,8 @@ def test_one_success_is_no_surer_than_none():
 
 def test_errors_are_excluded_and_counted():
     rows = column([1, 0, 1, 0])
-    rows[0]["status"] = "error"
-    rows[1]["success"] = None
+    rows[0] = replace(rows[0], status="error")
+    rows[1] = replace(rows[1], success=None)
     estimate = success_rate(rows)
     assert (estimate.value, estimate.n, estimate.excluded) == (0.5, 2, 2)
     difference = paired_difference(rows, column([0, 0, 0, 0]))
@@ -91,7 +101,7 @@ def test_errors_are_excluded_and_counted():
 
 
 def test_nothing_finished_is_not_a_rate():
-    estimate = success_rate([{"pair": 0, "status": "error"}])
+    estimate = success_rate([Row(pair=0, status="error")])
     assert np.isnan(estimate.value)
     assert (estimate.low, estimate.high) == (0.0, 1.0)
     assert str(estimate) == "no finished rollouts (n = 0, 1 excluded)"
@@ -104,9 +114,9 @@ def test_same_pair_number_in_two_tasks_is_two_clusters():
 
 
 def test_a_rerun_replaces_the_failed_attempt():
-    failed = {"pair": 0, "seed": 0, "step": 10, "status": "error"}
-    again = {**failed, "status": "ok", "success": True}
-    later = {**again, "step": 20}
+    failed = Row(pair=0, seed=0, step=10, status="error")
+    again = replace(failed, status="ok", success=True)
+    later = replace(again, step=20)
     assert latest_rows([failed, again, later]) == [again, later]
 
 
