@@ -21,7 +21,7 @@ from jaxcam.reports.comparison import write_comparison
 from jaxcam.reports.document import Document, Link, Table, Text, to_latex, to_markdown
 from jaxcam.reports.studies import STUDIES, panels
 from jaxcam.reports.study_figures import COLOURS, bars, curves
-from jaxcam.reports.tables import gains, table_one
+from jaxcam.reports.tables import gains, paper_value, table_one
 from jaxcam.results.stats import paired_difference
 from jaxcam.runs.identity import resolve
 
@@ -91,6 +91,17 @@ def test_table_one_has_the_papers_numbers_beside_ours(runs):
             for t in paper.TASKS]  # fmt: skip
     assert min(gain) == pytest.approx(0.4)  # "increases success rates for all models in all tasks"
     assert max(gain) == pytest.approx(34.8)
+
+
+def test_runs_whose_demonstrations_see_all_cameras_are_no_line_of_table_one(runs):
+    make_run(runs / "all", rate=0.5, conditioning="late", n=30, m=0)
+    arms = arms_of(runs)
+    assert len(arms) == 3
+    table = table_one(arms)
+    assert sum("ours" in row[1] for row in table.rows) == 2
+    assert not any(row[2].startswith("50.0") for row in table.rows)
+    (arm,) = [arm for arm in arms if arm.settings["m"] == 0]
+    assert paper_value(arm) is None
 
 
 def test_gains_are_paired(runs):

@@ -153,6 +153,13 @@ def test_reproduce_command_gives_the_same_settings(accelerator):
     assert again == config
 
 
+@pytest.mark.parametrize("accelerator", [False, True])
+def test_reproduce_command_leaves_out_what_the_machine_decides(accelerator):
+    config = resolve(TrainConfig(preset="paper"), accelerator=accelerator)
+    assert (config.steps_per_call > 1) == accelerator
+    assert "--steps-per-call" not in reproduce_command(config)
+
+
 def test_success_map_counts_cameras_in_bins():
     rows = evaluation([1, 0] * 25)
     figure = plots.success_map([*rows, *evaluation([1] * 50, seed=1)])
