@@ -14,7 +14,7 @@ from jaxcam.data.demos import Demos
 from jaxcam.files.jsonl import write_atomically
 from jaxcam.reports import html as page
 from jaxcam.reports.camera_figures import camera_poses
-from jaxcam.reports.style import BLUE, GREY, panels, save, styled
+from jaxcam.reports.style import BLUE, GREY, save, side_by_side, styled
 from jaxcam.sim.task import Task
 
 
@@ -88,7 +88,7 @@ def draw_figures(demos: Demos, task: Task) -> dict[str, Figure]:
 @styled
 def _ways(demos: Demos) -> Figure:
     every = demos.train + demos.valid
-    figure, (lengths, above) = panels((8.2, 3.6), columns=2)
+    figure, (lengths, above) = side_by_side((8.2, 3.6), columns=2)
     lengths.hist([d.length for d in every], bins=24, color=BLUE)
     lengths.set(xlabel="control steps", ylabel="demonstrations", title="Lengths")
     for demo in every:

@@ -17,7 +17,13 @@ from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.files.jsonl import append_jsonl, read_jsonl, write_atomically
 from jaxcam.results.protocol import Protocol, counted, lacks, protocol_of
 from jaxcam.results.rows import USUAL_WAY, Row
-from jaxcam.results.stats import Estimate, latest_rows, success_rate
+from jaxcam.results.stats import (
+    Estimate,
+    PairedDifference,
+    latest_rows,
+    paired_difference,
+    success_rate,
+)
 from jaxcam.runs.identity import FREE_TO_CHANGE, resolve
 from jaxcam.runs.rollouts import read_rows, rows_file
 
@@ -64,7 +70,7 @@ class Run:
         return counted(self.rows, self.protocol)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Arm:
     """All runs of the same settings: a cell of a table, a bar of a figure."""
 
@@ -84,6 +90,16 @@ class Arm:
     def estimate(self) -> Estimate:
         """Its success with interval."""
         return success_rate(self.rows)
+
+    def against(self, other: "Arm") -> PairedDifference:
+        """Its success minus another arm's on the pairs that both have; computed once."""
+        if other not in self._differences:
+            self._differences[other] = paired_difference(self.rows, other.rows)
+        return self._differences[other]
+
+    @functools.cached_property
+    def _differences(self) -> dict["Arm", PairedDifference]:
+        return {}
 
     @functools.cached_property
     def lacks(self) -> list[str]:

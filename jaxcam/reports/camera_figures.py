@@ -9,7 +9,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from jaxcam.reports.style import BLUE, GREY, RATE, VERMILION, panels, percent, styled
+from jaxcam.reports.style import BLUE, GREY, RATE, VERMILION, percent, side_by_side, styled
 from jaxcam.results.rows import Row
 from jaxcam.results.stats import wilson
 
@@ -103,7 +103,7 @@ def camera_poses(
     Returns:
         The figure.
     """
-    figure, (above, side) = panels((8.2, 4.2), columns=2)
+    figure, (above, side) = side_by_side((8.2, 4.2), columns=2)
     for poses, colour, label in ((train, GREY, "training"), (test, BLUE, "held out")):
         poses = np.asarray(poses, float).reshape(-1, 4, 4)
         position, forward = poses[:, :3, 3] - centre, poses[:, :3, 2]
@@ -142,7 +142,7 @@ def ray_picture(image: np.ndarray, rays: np.ndarray) -> Figure:
         raise ValueError(f"rays must be [H, W, 6], got {rays.shape}")
     direction, moment = rays[..., :3], rays[..., 3:]
     scale = max(float(np.abs(moment).max()), 1e-9)
-    figure, columns = panels((8.2, 3.2), columns=3)
+    figure, columns = side_by_side((8.2, 3.2), columns=3)
     image = np.asarray(image)
     if image.dtype != np.uint8:
         image = np.clip(image / 255, 0, 1)

@@ -28,14 +28,13 @@ from jaxcam.reports.document import (
     to_markdown,
 )
 from jaxcam.reports.studies import CONDITIONINGS, STUDIES, names, panels
-from jaxcam.reports.study_figures import bars, curves, maps
-from jaxcam.reports.study_figures import gains as draw_gains
+from jaxcam.reports.study_figures import bars, curves, maps, rates_and_gains
 from jaxcam.reports.style import save
 from jaxcam.reports.tables import (
     by_task,
     cells,
     context,
-    gains,
+    gains_table,
     is_of_table,
     runs_table,
     table_one,
@@ -102,10 +101,10 @@ def _about(arms: Sequence[Arm]) -> list[Block]:
 def _main(arms: Sequence[Arm], out: Path) -> list[Block]:
     """Table I and the paired differences, with a picture for each task."""
     blocks: list[Block] = [Heading("With and without the camera pose"), table_one(arms)]
-    if table := gains(arms):
+    if table := gains_table(arms):
         blocks += [Heading("Paired differences"), table]
     if twins := [some for some in twins_of(arms) if is_of_table(some[0])]:
-        path = save(draw_gains(twins), out / "figures" / "gains.png")
+        path = save(rates_and_gains(twins), out / "figures" / "gains.png")
         caption = (
             "Grey: image only. Hollow points: fewer rollouts than the protocol asks for. Diamonds: "
             "the paper. n: rollouts with and without the camera pose."

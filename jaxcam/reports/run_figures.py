@@ -17,9 +17,9 @@ from jaxcam.reports.style import (
     BLUE,
     VERMILION,
     note,
-    panels,
     percent,
     save,
+    side_by_side,
     styled,
 )
 from jaxcam.results.rows import Row
@@ -46,7 +46,7 @@ def loss_curves(metrics: Iterable[Mapping[str, Any]]) -> Figure:
         The figure.
     """
     metrics = list(metrics)
-    figure, (axes,) = panels((6.4, 3.5))
+    figure, (axes,) = side_by_side((6.4, 3.5))
     steps, losses = _series(metrics, "loss")
     if len(steps):
         if len(steps) > 20:
@@ -80,7 +80,7 @@ def success_curve(metrics: Iterable[Mapping[str, Any]]) -> Figure:
         The figure.
     """
     rows = sorted((r for r in metrics if "success_rate" in r), key=lambda r: r["step"])
-    figure, (axes,) = panels((6.4, 3.5))
+    figure, (axes,) = side_by_side((6.4, 3.5))
     axes.set(title="Success on held-out cameras", xlabel="training step", ylim=(0, 1))
     axes.yaxis.set_major_formatter(percent())
     if rows:

@@ -26,13 +26,13 @@ from jaxcam.reports.style import (
     RATE,
     beside,
     interval,
-    panels,
     percent,
     rates_and_differences,
+    side_by_side,
     styled,
 )
 from jaxcam.reports.tables import paper_value
-from jaxcam.results.stats import p_text, paired_difference
+from jaxcam.results.stats import p_text
 
 COLOURS = {"none": "#7A828C", "token": "#CC79A7", "early": "#E69F00", "late": "#0072B2",
            "keypoints": "#009E73"}  # fmt: skip
@@ -109,7 +109,7 @@ def curves(shown: Sequence[Panel], label: str) -> Figure:
 
 
 @styled
-def gains(twins: Sequence[tuple[Arm, Arm]]) -> Figure:
+def rates_and_gains(twins: Sequence[tuple[Arm, Arm]]) -> Figure:
     """Success with and without the camera pose, and their paired difference.
 
     Args:
@@ -118,7 +118,7 @@ def gains(twins: Sequence[tuple[Arm, Arm]]) -> Figure:
     Returns:
         The figure: at the left both rates, at the right the differences; diamonds are the paper's.
     """
-    figure, (left, right) = panels((9.6, 1.3 + 0.42 * len(twins)), columns=2, share_y=True)
+    figure, (left, right) = side_by_side((9.6, 1.3 + 0.42 * len(twins)), columns=2, share_y=True)
     for y, (arm, twin) in enumerate(twins):
         colour = COLOURS[arm.settings["conditioning"]]
         for one, shade, height in ((twin, COLOURS["none"], y + 0.15), (arm, colour, y - 0.15)):
@@ -126,7 +126,7 @@ def gains(twins: Sequence[tuple[Arm, Arm]]) -> Figure:
             interval(left, height, (e.value, e.low, e.high), shade, hollow=bool(one.lacks))
             if (value := paper_value(one)) is not None:
                 _diamond(left, value / 100, height)
-        delta = paired_difference(arm.rows, twin.rows)
+        delta = arm.against(twin)
         interval(right, y, (delta.value, delta.low, delta.high), colour,
                  hollow=bool(arm.lacks or twin.lacks))  # fmt: skip
         papers = paper_value(arm), paper_value(twin)

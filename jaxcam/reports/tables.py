@@ -12,7 +12,7 @@ from typing import Any
 from jaxcam.reports import paper
 from jaxcam.reports.arms import Arm, Run, plain
 from jaxcam.reports.document import Link, Table
-from jaxcam.results.stats import Difference, by_field, p_text, paired_difference
+from jaxcam.results.stats import PairedDifference, by_field, p_text
 
 NONE = "–"
 # Settings that a task brings with it, so that they differ between the columns of Table I.
@@ -69,12 +69,12 @@ def table_one(arms: Sequence[Arm]) -> Table:
     return Table(caption, ("Method", "Source", *titles), rows, rules)
 
 
-def gains(arms: Sequence[Arm]) -> Table | None:
+def gains_table(arms: Sequence[Arm]) -> Table | None:
     """Paired differences of every conditioned arm to its image-only twin; None without any."""
     rows = []
     for arm, twin in twins_of(arms):
         s = arm.settings
-        delta = paired_difference(arm.rows, twin.rows)
+        delta = arm.against(twin)
         rows.append([
             paper.policy_title(s["policy"]), _task(arm), s["conditioning"],
             arm.label(), _paper_gain(arm), *_difference(delta),
@@ -156,7 +156,7 @@ def to_csv(arms: Sequence[Arm]) -> str:
     writer.writerow(head)
     for arm in arms:
         e, twin = arm.estimate, base.get(context(arm, "conditioning"))
-        d = None if twin is None or twin is arm else paired_difference(arm.rows, twin.rows)
+        d = None if twin is None or twin is arm else arm.against(twin)
         settings = (arm.settings.get(name) for name in names)
         known = paper_value(arm)
         writer.writerow([
@@ -255,7 +255,7 @@ def _rate_cell(arm: Arm | None, base: Mapping[str, Arm]) -> str:
     e, twin = arm.estimate, base.get(context(arm, "conditioning"))
     gain = ""
     if twin is not None and twin is not arm and twin.rows:
-        delta = paired_difference(arm.rows, twin.rows)
+        delta = arm.against(twin)
         gain = f" ({100 * delta.value:+.1f})" if delta.pairs else ""
     interval = f"[{100 * e.low:.1f}, {100 * e.high:.1f}]"
     return f"{100 * e.value:.1f}{gain}\n{interval}\nn = {arm.count()}"
@@ -267,7 +267,7 @@ def _rate(value: float, low: float, high: float) -> str:
     return f"{100 * value:.1f} [{100 * low:.1f}, {100 * high:.1f}]"
 
 
-def _difference(delta: Difference) -> list[str]:
+def _difference(delta: PairedDifference) -> list[str]:
     if not delta.pairs:
         return [NONE, NONE, "0"]
     value, low, high = (100 * x for x in (delta.value, delta.low, delta.high))
@@ -279,7 +279,7 @@ def _difference(delta: Difference) -> list[str]:
 def _against(arm: Arm, other: Arm | None) -> str:
     if other is None or other is arm or not arm.rows or not other.rows:
         return NONE
-    delta = paired_difference(arm.rows, other.rows)
+    delta = arm.against(other)
     if not delta.pairs:
         return "no shared pairs"
     gain, p_value, _ = _difference(delta)

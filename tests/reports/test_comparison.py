@@ -21,7 +21,7 @@ from jaxcam.reports.comparison import write_comparison
 from jaxcam.reports.document import Document, Link, Table, Text, to_latex, to_markdown
 from jaxcam.reports.studies import STUDIES, panels
 from jaxcam.reports.study_figures import COLOURS, bars, curves
-from jaxcam.reports.tables import gains, paper_value, table_one
+from jaxcam.reports.tables import gains_table, paper_value, table_one
 from jaxcam.results.stats import paired_difference
 from jaxcam.runs.identity import resolve
 
@@ -106,7 +106,7 @@ def test_runs_whose_demonstrations_see_all_cameras_are_no_line_of_table_one(runs
 
 def test_gains_are_paired(runs):
     none, late = sorted(arms_of(runs), key=lambda a: a.settings["conditioning"] != "none")
-    (row,) = gains([late, none]).rows
+    (row,) = gains_table([late, none]).rows
     delta = paired_difference(late.rows, none.rows)
     assert row[:5] == ["ACT", "Lift", "late", "laptop preset", "+27.0"]
     assert row[5].startswith(f"{100 * delta.value:+.1f} [")
@@ -118,7 +118,7 @@ def test_arms_are_compared_only_where_nothing_else_differs(tmp_path):
     make_run(tmp_path / "b", conditioning="late", steps=2000)
     arms = arms_of(tmp_path)
     assert len(arms) == 2
-    assert gains(arms) is None
+    assert gains_table(arms) is None
     assert {arm.label() for arm in arms} == {"laptop preset", "laptop preset, steps 2000"}
     assert all("+" not in row[2] for row in table_one(arms).rows if "ours" in row[1])
 
@@ -188,7 +188,7 @@ def test_rows_alone_are_shown_as_far_as_they_tell(runs, tmp_path):
     (folder / "rows.jsonl").write_text("".join(lines))
     arms = arms_of(folder)
     assert {arm.label() for arm in arms} == {"settings not recorded"}
-    assert gains(arms).rows[0][5].startswith("+50.0")
+    assert gains_table(arms).rows[0][5].startswith("+50.0")
     write_comparison(read_runs([folder]), tmp_path / "out")
 
 
@@ -256,7 +256,7 @@ def test_early_fusion_with_a_new_stem_is_compared_with_the_others(tmp_path):
     weights = {"weights": "w/resnet18.pth"}
     make_run(tmp_path / "a", conditioning="none", **weights)
     make_run(tmp_path / "b", conditioning="early", stem="new", **weights)
-    assert len(gains(arms_of(tmp_path)).rows) == 1
+    assert len(gains_table(arms_of(tmp_path)).rows) == 1
 
 
 def test_documents_escape_what_the_formats_read():

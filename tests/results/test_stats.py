@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.stats
 
 from jaxcam.results import stats
 from jaxcam.results.rows import Row
@@ -42,6 +43,36 @@ def test_wilson_against_hand_computed_values():
     assert wilson(0, 10) == pytest.approx((0.0, 0.27753), abs=1e-5)
     assert wilson(10, 10) == pytest.approx((0.72247, 1.0), abs=1e-5)
     assert wilson(0, 0) == (0.0, 1.0)
+
+
+@pytest.mark.parametrize(("successes", "n"), [(0, 7), (3, 7), (199, 200)])
+def test_wilson_is_scipys_for_whole_counts_and_lies_between_for_others(successes, n):
+    known = scipy.stats.binomtest(successes, n).proportion_ci(method="wilson")
+    assert wilson(successes, n) == pytest.approx((known.low, known.high))
+    assert wilson(successes, n) < wilson(successes + 0.5, n) < wilson(successes + 1, n)
+
+
+def test_numbers_are_the_same_from_run_to_run():
+    rng = np.random.default_rng(2)
+    a, b = (rows_of(rng.random((40, 3)) < p) for p in (0.4, 0.6))
+    assert success_rate(a) == success_rate(list(a))
+    assert paired_difference(a, b) == paired_difference(list(a), list(b))
+
+
+def test_p_values_that_are_sampled_are_those_of_all_patterns():
+    """Thirteen differences are one more than are enumerated."""
+    deltas = np.array([1, 1, 1, 1, 1, 1, 1, 1, 1, 1, -1, -1, -1])
+    a, b = column(deltas > 0), column(deltas < 0)
+    exact = scipy.stats.binomtest(3, 13).pvalue
+    assert paired_difference(a, b).p_value == pytest.approx(exact, abs=0.01)
+    assert paired_difference(a[1:], b[1:]).p_value == scipy.stats.binomtest(3, 12).pvalue
+
+
+def test_a_single_pair_says_next_to_nothing():
+    estimate = success_rate(rows_of([[1, 1, 1, 0]]))
+    assert (estimate.value, estimate.clusters) == (0.75, 1)
+    assert estimate.high == pytest.approx(0.75 + 0.25 * wilson(0, 1)[1])
+    assert paired_difference(column([1]), column([0])).p_value == 1.0
 
 
 @pytest.mark.parametrize(("successes", "n"), [(-1, 5), (6, 5), (0, -1)])
