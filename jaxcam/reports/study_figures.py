@@ -70,7 +70,7 @@ def bars(shown: Sequence[Panel], names: Mapping[Any, str]) -> Figure:
         axes.set_xticks(ticks, [names[value] for value in panel.arms], rotation=20 if long else 0,
                         ha="right" if long else "center")  # fmt: skip
         _rates(axes)
-    _legend(figure, [a for p in shown for arms in p.arms.values() for a in arms.values()], Patch)
+    _legend(figure, _arms_of(shown), Patch)
     return figure
 
 
@@ -85,26 +85,14 @@ def curves(shown: Sequence[Panel], label: str) -> Figure:
     figure, grid = _grid(len(shown), (4.4, 3.5))
     for axes, panel in zip(grid, shown, strict=True):
         for way in CONDITIONINGS:
-            points = [(value, arms[way]) for value, arms in panel.arms.items() if way in arms]
-            if not points:
-                continue
-            at = [value for value, _ in points]
-            estimates = [arm.estimate for _, arm in points]
-            colour = COLOURS[way]
-            axes.plot(at, [e.value for e in estimates], color=colour)
-            low, high = [e.low for e in estimates], [e.high for e in estimates]
-            axes.fill_between(at, low, high, color=colour, alpha=0.15, linewidth=0)
-            for value, arm in points:
-                face = "white" if arm.lacks else colour
-                axes.plot(value, arm.estimate.value, "o", color=colour, markerfacecolor=face)
+            _curve(axes, {x: arms[way] for x, arms in panel.arms.items() if way in arms}, way)
         axes.set(xscale="log", ylim=(0, 1), xlabel=label)
         _title(axes, panel.title)
         axes.xaxis.set_major_locator(FixedLocator(list(panel.arms)))
         axes.xaxis.set_minor_locator(NullLocator())
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         _rates(axes)
-    arms = [a for p in shown for some in p.arms.values() for a in some.values()]
-    _legend(figure, arms, Line2D, papers=False)
+    _legend(figure, _arms_of(shown), Line2D, papers=False)
     return figure
 
 
@@ -172,6 +160,23 @@ def _grid(count: int, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:
     for empty in grid[count:]:
         empty.remove()
     return figure, grid[:count]
+
+
+def _arms_of(shown: Sequence[Panel]) -> list[Arm]:
+    return [arm for panel in shown for arms in panel.arms.values() for arm in arms.values()]
+
+
+def _curve(axes: Axes, arms: Mapping[Any, Arm], way: str) -> None:
+    """Success of arms by a number, with intervals; nothing without arms."""
+    colour, estimates = COLOURS[way], [arm.estimate for arm in arms.values()]
+    if not arms:
+        return
+    axes.plot([*arms], [e.value for e in estimates], color=colour)
+    low, high = [e.low for e in estimates], [e.high for e in estimates]
+    axes.fill_between([*arms], low, high, color=colour, alpha=0.15, linewidth=0)
+    for x, arm in arms.items():
+        face = "white" if arm.lacks else colour
+        axes.plot(x, arm.estimate.value, "o", color=colour, markerfacecolor=face)
 
 
 def _bar(axes: Axes, x: float, arm: Arm) -> None:

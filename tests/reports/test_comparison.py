@@ -18,7 +18,16 @@ from jaxcam.errors import ConfigError
 from jaxcam.reports import paper
 from jaxcam.reports.arms import group, read_runs
 from jaxcam.reports.comparison import write_comparison
-from jaxcam.reports.document import Document, Link, Table, Text, to_latex, to_markdown
+from jaxcam.reports.document import (
+    Document,
+    Heading,
+    Link,
+    Table,
+    Text,
+    to_html,
+    to_latex,
+    to_markdown,
+)
 from jaxcam.reports.studies import STUDIES, panels
 from jaxcam.reports.study_figures import COLOURS, bars, curves
 from jaxcam.reports.tables import gains_table, paper_value, table_one
@@ -269,6 +278,18 @@ def test_documents_escape_what_the_formats_read():
     assert r"\shortstack[l]{1 \\ {[}2]}" in latex
     assert r"\textbf{a\_b}" in latex
     assert latex.count("{") == latex.count("}")
+
+
+def test_html_escapes_what_documents_say(tmp_path):
+    table = Table("a <i>", ("<b>",), [["<script>"], [Link('"><u>', 'x y"#.mp4')]])
+    blocks = [Heading("&amp; <h1>"), Text("<s>", warns=True), table]
+    path = tmp_path / "page.html"
+    path.write_text(to_html(Document("<title>", "'", blocks), tmp_path))
+    page = Page(path)
+    assert not {"script", "u", "i", "b", "s"} & {tag for tag, _ in page.tags}
+    for words in ("a <i>", "<script>", '"><u>', "&amp; <h1>", "<title>"):
+        assert words in page.text
+    assert page.attributes("a", "href") == ["x%20y%22%23.mp4"]
 
 
 def test_nothing_evaluated_yet(tmp_path):
