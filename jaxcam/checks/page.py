@@ -85,13 +85,13 @@ def draw_figures(demos: Demos, task: Task) -> dict[str, Figure]:
 
 @styled
 def _ways(demos: Demos) -> Figure:
-    every = demos.train + demos.valid
+    demos_drawn = demos.train + demos.valid
     figure, (lengths, above) = side_by_side((8.2, 3.6), columns=2)
-    lengths.hist([d.length for d in every], bins=24, color=BLUE)
+    lengths.hist([d.length for d in demos_drawn], bins=24, color=BLUE)
     lengths.set(xlabel="control steps", ylabel="demonstrations", title="Lengths")
-    for demo in every:
+    for demo in demos_drawn:
         above.plot(demo.eef_pos[:, 0], demo.eef_pos[:, 1], color=BLUE, linewidth=0.6, alpha=0.3)
-    starts = np.stack([d.eef_pos[0, :2] for d in every])
+    starts = np.stack([d.eef_pos[0, :2] for d in demos_drawn])
     above.plot(*starts.T, "o", color=GREY, markersize=3, label="start")
     above.set_aspect("equal")
     above.set(xlabel="x (m)", ylabel="y (m)", title="Ways of the grip")

@@ -126,7 +126,7 @@ class Arm:
         """Preset and changes in words.
 
         Args:
-            *without: Settings that are told elsewhere.
+            *without: Settings that are said elsewhere.
         """
         if self.settings.get("preset") is None:
             return "settings not recorded"
@@ -142,7 +142,7 @@ def plain(value: Any) -> str:
 
 
 def read_runs(paths: Iterable[str | Path], split: str = "test") -> list[Run]:
-    """All runs in and below folders; each run once, however often it is found.
+    """All runs in and below folders; each run once, however often it is met.
 
     Args:
         paths: Run folders, results folders, or folders that hold such.
@@ -154,13 +154,13 @@ def read_runs(paths: Iterable[str | Path], split: str = "test") -> list[Run]:
     """
     runs: dict[str, Run] = {}
     for path in map(Path, paths):
-        found = list(_find(path))
-        if not found:
+        folders = list(_find(path))
+        if not folders:
             raise ConfigError(
                 f"No run in {path}: neither it nor a folder below it has a config.json or a "
                 "rows.jsonl."
             )
-        for folder in found:
+        for folder in folders:
             for run in _read(folder, split):
                 key = json.dumps([run.settings, run.seed], sort_keys=True)
                 runs[key] = _merge(runs[key], run) if key in runs else run

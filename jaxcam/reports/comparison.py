@@ -27,7 +27,7 @@ from jaxcam.reports.document import (
     to_latex,
     to_markdown,
 )
-from jaxcam.reports.studies import CONDITIONINGS, STUDIES, names, panels
+from jaxcam.reports.studies import CONDITIONINGS, STUDIES, arms_of, names, panels
 from jaxcam.reports.study_figures import bars, curves, maps, rates_and_gains
 from jaxcam.reports.style import save
 from jaxcam.reports.tables import (
@@ -117,24 +117,24 @@ def _studies(arms: Sequence[Arm], out: Path) -> list[Block]:
     """The paper's figures for which there are rows."""
     blocks: list[Block] = []
     for study in STUDIES:
-        found = panels(study, arms)
-        if not found:
+        shown = panels(study, arms)
+        if not shown:
             continue
-        shown = [a for panel in found for some in panel.arms.values() for a in some.values()]
-        named = names(study, shown)
-        figure = curves(found, "cameras") if study.field == "n" else bars(found, named)
+        of_study = arms_of(shown)
+        named = names(study, of_study)
+        figure = curves(shown, "cameras") if study.field == "n" else bars(shown, named)
         path = save(figure, out / "figures" / f"{study.file}.png")
         caption = f"{study.title}. The paper's finding: {paper.SAYS[study.field]}"
         blocks += [Heading(study.title), Picture(_relative(path, out), caption),
-                   cells(shown, study.field, named)]  # fmt: skip
+                   cells(of_study, study.field, named)]  # fmt: skip
     return blocks
 
 
 def _maps(arms: Sequence[Arm], out: Path) -> list[Block]:
     """Where on the sphere of cameras each policy works."""
     blocks: list[Block] = []
-    told = [a for a in arms if len(rate_by_camera(a.rows))]
-    for name, some in _by_conditioning(told).items():
+    mapped = [a for a in arms if len(rate_by_camera(a.rows))]
+    for name, some in _by_conditioning(mapped).items():
         path = save(maps(some), out / "figures" / f"map-{name}.png")
         blocks.append(Picture(_relative(path, out), f"Success by camera: {_caption(some[0])}"))
     return [Heading("Success by camera direction"), *blocks] if blocks else []

@@ -71,7 +71,7 @@ def panels(study: Study, arms: Sequence[Arm]) -> list[Panel]:
         arms: All there are.
     """
     known = [a for a in arms if a.estimate.n and study.belongs(a) and study.field in a.settings]
-    found = []
+    shown = []
     for some in by_task(known).values():
         groups: dict[str, list[Arm]] = {}
         for arm in some:
@@ -85,8 +85,13 @@ def panels(study: Study, arms: Sequence[Arm]) -> list[Panel]:
                         if a.settings[study.field] == value}
                 for value in values
             }  # fmt: skip
-            found.append(Panel(_title(study, group[0]), chosen))
-    return found
+            shown.append(Panel(_title(study, group[0]), chosen))
+    return shown
+
+
+def arms_of(shown: Sequence[Panel]) -> list[Arm]:
+    """The arms of panels, in their order."""
+    return [arm for panel in shown for arms in panel.arms.values() for arm in arms.values()]
 
 
 def names(study: Study, arms: Sequence[Arm]) -> dict[Any, str]:

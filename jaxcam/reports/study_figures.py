@@ -19,7 +19,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from jaxcam.reports.arms import Arm
 from jaxcam.reports.camera_figures import angle_ticks, draw_cameras, rate_by_camera
 from jaxcam.reports.paper import policy_title, task_title
-from jaxcam.reports.studies import CONDITIONINGS, Panel
+from jaxcam.reports.studies import CONDITIONINGS, Panel, arms_of
 from jaxcam.reports.style import (
     GREY,
     INK,
@@ -70,7 +70,7 @@ def bars(shown: Sequence[Panel], names: Mapping[Any, str]) -> Figure:
         axes.set_xticks(ticks, [names[value] for value in panel.arms], rotation=20 if long else 0,
                         ha="right" if long else "center")  # fmt: skip
         _rates(axes)
-    _legend(figure, _arms_of(shown), Patch)
+    _legend(figure, arms_of(shown), Patch)
     return figure
 
 
@@ -92,7 +92,7 @@ def curves(shown: Sequence[Panel], label: str) -> Figure:
         axes.xaxis.set_minor_locator(NullLocator())
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         _rates(axes)
-    _legend(figure, _arms_of(shown), Line2D, papers=False)
+    _legend(figure, arms_of(shown), Line2D, papers=False)
     return figure
 
 
@@ -160,10 +160,6 @@ def _grid(count: int, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:
     for empty in grid[count:]:
         empty.remove()
     return figure, grid[:count]
-
-
-def _arms_of(shown: Sequence[Panel]) -> list[Arm]:
-    return [arm for panel in shown for arms in panel.arms.values() for arm in arms.values()]
 
 
 def _curve(axes: Axes, arms: Mapping[Any, Arm], way: str) -> None:

@@ -106,10 +106,10 @@ def cells(arms: Sequence[Arm], field: str, order: Mapping[Any, str]) -> Table:
         twin = base.get(context(arm, "conditioning"))
         reference = firsts.get(context(arm, field))
         others = [] if field == "conditioning" else [_against(arm, reference)]
-        told = [] if field == "conditioning" else [s["conditioning"]]
+        way = [] if field == "conditioning" else [s["conditioning"]]
         rows.append([
             _task(arm) if field != "scene" else paper.task_title(s["task"]),
-            arm.label(field), order[s[field]], *told,
+            arm.label(field), order[s[field]], *way,
             _rate(e.value, e.low, e.high), arm.count(), _against(arm, twin), *others,
         ])  # fmt: skip
     names = ["Conditioning"] if field != "conditioning" else []
@@ -173,12 +173,12 @@ def to_csv(arms: Sequence[Arm]) -> str:
 def paper_value(arm: Arm) -> float | None:
     """Table I's success in percent where the arm has its settings, else None."""
     s = arm.settings
-    told = s["conditioning"] != "none"
+    conditioned = s["conditioning"] != "none"
     if not paper.is_table_setting(s):
         return None
-    if told and s["conditioning"] != _papers_way(s["policy"]):
+    if conditioned and s["conditioning"] != _papers_way(s["policy"]):
         return None
-    return paper.success(s["policy"], s["task"], told)
+    return paper.success(s["policy"], s["task"], conditioned)
 
 
 def is_of_table(arm: Arm) -> bool:
@@ -201,18 +201,18 @@ def _lines(arms: Sequence[Arm], policy: str, conditioned: bool) -> list[tuple[st
     lines = []
     groups: dict[str, list[Arm]] = {}
     for arm in arms:
-        told = arm.settings["conditioning"] != "none"
-        if arm.settings["policy"] == policy and told == conditioned:
+        has_pose = arm.settings["conditioning"] != "none"
+        if arm.settings["policy"] == policy and has_pose == conditioned:
             groups.setdefault(context(arm, "task", *_OF_TASK), []).append(arm)
     for some in groups.values():
         columns = by_task(sorted(some, key=lambda a: -(a.settings.get("steps") or 0)))
         for line in zip_longest(*columns.values()):
-            found = {a.settings["task"]: a for a in line if a is not None}
-            first = next(iter(found.values()))
+            by_name = {a.settings["task"]: a for a in line if a is not None}
+            first = next(iter(by_name.values()))
             way = [first.settings["conditioning"]] if conditioned else []
-            words = ["ours", *way, first.label(*_OF_TASK), *_steps([*found.values()])]
+            words = ["ours", *way, first.label(*_OF_TASK), *_steps([*by_name.values()])]
             source = "\n".join(textwrap.fill(line, 26) for line in words)
-            lines.append((source, found))
+            lines.append((source, by_name))
     return lines
 
 

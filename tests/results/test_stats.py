@@ -202,16 +202,16 @@ def test_interval_covers_the_truth(seeds):
 def test_difference_interval_covers_the_truth_and_is_no_wider_than_it_must(rollouts, gain):
     rng = np.random.default_rng(3)
     truth = gain * (1 - 0.4)
-    found = []
+    differences = []
     for _ in range(400):
         difficulty = rng.beta(0.8, 1.2, (50, 1))
         b = rng.random((50, rollouts)) < difficulty
         a = rng.random((50, rollouts)) < difficulty + gain * (1 - difficulty)
-        found.append(paired_difference(rows_of(a), rows_of(b)))
-    covered = np.mean([d.low - 1e-9 <= truth <= d.high + 1e-9 for d in found])
+        differences.append(paired_difference(rows_of(a), rows_of(b)))
+    covered = np.mean([d.low - 1e-9 <= truth <= d.high + 1e-9 for d in differences])
     assert 0.91 <= covered <= 0.985
-    width = np.mean([d.high - d.low for d in found])
-    spread = np.std([d.value for d in found])
+    width = np.mean([d.high - d.low for d in differences])
+    spread = np.std([d.value for d in differences])
     assert width == pytest.approx(2 * 1.96 * spread, rel=0.15)
 
 
