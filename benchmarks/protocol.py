@@ -24,9 +24,9 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from jaxcam.files.jsonl import read_jsonl
 from jaxcam.reports.style import BLUE, GREY, VERMILION, save, styled
 from jaxcam.results.protocol import protocol_of
+from jaxcam.runs.rollouts import read_rows, rows_file
 
 
 class Sample(NamedTuple):
@@ -40,11 +40,10 @@ class Sample(NamedTuple):
     """How many were killed before it."""
 
 
-def rows_of(runs: list[Path]) -> list[tuple[str, int, int]]:
+def rows_of(runs: list[Path]) -> list[tuple[str | None, int, int]]:
     """Run, checkpoint and pair of every row on disk."""
-    files = [run / "eval" / "rows.jsonl" for run in runs]
-    rows = [row for file in files if file.exists() for row in read_jsonl(file)]
-    return [(row["run"], row["step"], row["pair"]) for row in rows]
+    rows = [row for run in runs for row in read_rows(rows_file(run))]
+    return [(row.run, row.step, row.pair) for row in rows]
 
 
 def resident(pid: int) -> float:

@@ -23,7 +23,8 @@ from jaxcam.data.pictures import load_frames
 from jaxcam.data.samples import Layout, Samples
 from jaxcam.devices import check_same, gathered, is_first, joined, own
 from jaxcam.errors import ConfigError
-from jaxcam.evaluation.run import Evaluator, evaluate
+from jaxcam.evaluation.checkpoint import Wanted, evaluate
+from jaxcam.evaluation.evaluator import Candidate, Evaluator
 from jaxcam.files.jsonl import read_jsonl
 from jaxcam.files.paths import absolute
 from jaxcam.models import Policy, PolicySpec, Stats, make_policy, policy_settings
@@ -36,6 +37,7 @@ from jaxcam.reports.style import save
 from jaxcam.runs.folder import RunDir
 from jaxcam.runs.identity import resolve
 from jaxcam.runs.interrupts import interrupts
+from jaxcam.runs.rollouts import read_rows, rows_file
 from jaxcam.sim import make_task
 from jaxcam.sim.actions import action_dim
 from jaxcam.sim.world import PROPRIO_DIM
@@ -174,16 +176,9 @@ def _finish(
     """Evaluates the last checkpoint, draws, and writes the report."""
     evaluator = Evaluator(config)
     step = int(state.step)
-    estimate = evaluate(
-        evaluator,
-        policy,
-        own(state.eval_params),
-        absolute(config.run_dir),
-        step=step,
-        pairs=config.pairs,
-        videos=config.videos,
-        console=console,
-    )
+    candidate = Candidate(policy, own(state.eval_params), absolute(config.run_dir), step)
+    wanted = Wanted(pairs=config.pairs, videos=config.videos)
+    estimate = evaluate(evaluator, candidate, wanted, console)
     if run is None:
         return
     metrics = read_jsonl(run.metrics)
@@ -197,7 +192,7 @@ def _finish(
                 "pairs": estimate.clusters,
             }
         )
-    rows = [r for r in read_jsonl(run.path / "eval" / "rows.jsonl") if r["step"] == step]
+    rows = [row for row in read_rows(rows_file(run.path)) if row.step == step]
     write_plots(run.path / "plots", read_jsonl(run.metrics), rows)
     save(ray_picture(*evaluator.sight("test", 0)), run.path / "pictures" / "rays.png")
     report = write_report(run.path)

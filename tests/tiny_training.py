@@ -15,12 +15,16 @@ import numpy as np
 
 from jaxcam.config.train import TrainConfig
 from jaxcam.data.batches import Dataset
+from jaxcam.data.pairs import Pairs
 from jaxcam.data.pictures import Frames
 from jaxcam.data.samples import Layout
 from jaxcam.models import Policy, PolicySpec
+from jaxcam.results.rows import Row
 from jaxcam.runs.folder import RunDir
 from jaxcam.runs.identity import resolve
 from jaxcam.runs.interrupts import Interrupt
+from jaxcam.sim.rollout import Rollouts
+from jaxcam.sim.task import Start
 from jaxcam.training.loop import Trainer
 
 TRAIN, VALID, STEPS, CAMERAS, PIXELS, CHUNK = 4, 2, 12, 3, 16, 2
@@ -107,29 +111,36 @@ class PairsEvaluator:
         self.task = type("Task", (), {"horizon": 3})
         self.ran = []
 
-    def pairs(self, split, numbers):
-        from jaxcam.data.pairs import Pairs
-        from jaxcam.sim.task import Start
+    def finishes(self, pair):
+        return pair != 2 and not (pair == 1 and 1 not in self.ran)
 
+    def success(self, pair):
+        return pair % 2 == 0
+
+    def pairs(self, split, numbers):
         column = np.array(numbers, float)[:, None]
         return Pairs([*numbers], column, Start(*[column] * len(Start._fields)))
 
-    def run(self, policy, params, split, pairs, *, step, run, tick):
+    def run(self, candidate, split, pairs, tick):
         assert len(pairs) <= self.width
-        ok = [p != 2 and not (p == 1 and 1 not in self.ran) for p in pairs]
+        ok = [self.finishes(pair) for pair in pairs]
         self.ran += pairs
-        row = {"step": step, "split": split, "run": run, "width": self.width}
-        return [
-            {**row, "pair": p, "status": "ok" if good else "error", "success": good and p % 2 == 0}
-            for p, good in zip(pairs, ok, strict=True)
-        ], None
+        rows = [
+            Row(run=candidate.folder.name, step=candidate.step, split=split, pair=pair,
+                width=self.width, engine=self.engine_name, ensemble=self.ensemble,
+                status="ok" if good else "error", success=good and self.success(pair))
+            for pair, good in zip(pairs, ok, strict=True)
+        ]  # fmt: skip
+        nothing = np.zeros(len(pairs))
+        return rows, Rollouts(nothing > 0, nothing, nothing == 0, np.zeros((1, len(pairs), 1)))
 
 
 def scenes(folder):
     """What each of several processes does; process i writes to `folder` only if i is 0."""
     from jaxcam.devices import check_same, data_mesh, is_first, shard
     from jaxcam.errors import ConfigError
-    from jaxcam.evaluation.run import evaluate
+    from jaxcam.evaluation.checkpoint import Wanted, evaluate
+    from jaxcam.evaluation.evaluator import Candidate
 
     found = {"shard": shard(), "devices": data_mesh(12).size}
     mine = folder if is_first() else folder / "elsewhere"
@@ -142,7 +153,8 @@ def scenes(folder):
     state = fit(settings(mine / "stopped"), stop=stop, write=is_first())[0]
     found["stopped"] = int(state.step)
     evaluator = PairsEvaluator()
-    estimate = evaluate(evaluator, None, None, mine, step=7, pairs=7)
+    candidate = Candidate(None, None, mine, 7)  # pyright: ignore
+    estimate = evaluate(evaluator, candidate, Wanted(pairs=7))  # pyright: ignore
     found["ran"], found["estimate"] = evaluator.ran, [estimate.value, estimate.n]
     try:
         check_same("demonstrations", "abc" if is_first() else "xyz")
@@ -154,18 +166,18 @@ def scenes(folder):
 def act_on_all_devices():
     """A batch of rollouts asks the policy once, on four devices, and gets what one gives."""
     from jaxcam.devices import copied, data_mesh
-    from jaxcam.evaluation.evaluator import _Acting
+    from jaxcam.evaluation.evaluator import Acting
 
     rng, tiny = np.random.default_rng(0), policy()
     obs = {"image": rng.integers(0, 256, (8, 1, PIXELS, PIXELS, 3), np.uint8),
            "proprio": rng.normal(size=(8, SPEC.proprio_dim)).astype(np.float32)}  # fmt: skip
     params, root = tiny.init(jax.random.key(1)), jax.random.key(0)
     mesh = data_mesh(8, everywhere=False)
-    chunks = _Acting(tiny.act, mesh)(copied(mesh, params), root, obs, jnp.int32(0))
+    chunks = Acting(tiny.act, mesh)(copied(mesh, params), root, obs, jnp.int32(0))
     assert len(chunks.sharding.device_set) == 4
     assert chunks.addressable_shards[0].data.shape[0] == 2
     np.testing.assert_allclose(
-        chunks, _Acting(tiny.act)(params, root, obs, jnp.int32(0)), rtol=1e-5, atol=1e-5
+        chunks, Acting(tiny.act)(params, root, obs, jnp.int32(0)), rtol=1e-5, atol=1e-5
     )
 
 

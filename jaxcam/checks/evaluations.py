@@ -8,8 +8,9 @@ from typing import Any
 from jaxcam.checks.findings import Finding, bad, good, note
 from jaxcam.console.words import some
 from jaxcam.errors import JaxcamError
-from jaxcam.files.jsonl import read_jsonl
-from jaxcam.results.stats import USUAL, Row, is_finished, latest_rows
+from jaxcam.results.rows import Row
+from jaxcam.results.stats import latest_rows
+from jaxcam.runs.rollouts import read_rows, rows_file
 
 
 def check_evaluations(folder: Path, pairs: int) -> Iterator[Finding]:
@@ -20,7 +21,7 @@ def check_evaluations(folder: Path, pairs: int) -> Iterator[Finding]:
         pairs: Pairs that the run's settings ask for; an evaluation may have more.
     """
     try:
-        rows = [USUAL | row for row in read_jsonl(folder / "eval" / "rows.jsonl")]
+        rows = read_rows(rows_file(folder))
     except JaxcamError as error:
         yield bad("evaluation", got=str(error), fix="Cut the file before that line.")
         return
@@ -28,21 +29,21 @@ def check_evaluations(folder: Path, pairs: int) -> Iterator[Finding]:
         yield note("evaluation", got="none yet", fix=f"python -m jaxcam.evaluate {folder}")
         return
     yield from _several_outcomes(rows)
-    cells: dict[tuple[Any, Any], list[Row]] = {}
+    cells: dict[tuple[str, int], list[Row]] = {}
     for row in latest_rows(rows):
-        cells.setdefault((row.get("split", "test"), row.get("step")), []).append(row)
-    most: dict[Any, int] = {}
+        cells.setdefault((row.split, row.step), []).append(row)
+    most: dict[str, int] = {}
     for (split, _), cell in cells.items():
         most[split] = max(most.get(split, 0), len(cell))
-    for (split, step), cell in sorted(cells.items(), key=str):
-        asked = max(min(pairs, most[split]), 1 + max(row["pair"] for row in cell))
+    for (split, step), cell in sorted(cells.items(), key=lambda item: item[0]):
+        asked = max(min(pairs, most[split]), 1 + max(row.pair for row in cell))
         again = f"python -m jaxcam.evaluate {folder} --split {split} --step {step} --pairs {asked}"
         yield _outcomes(cell, asked, f"{split}, step {step}", again)
 
 
 def _several_outcomes(rows: Sequence[Row]) -> Iterator[Finding]:
     """A finding where rollouts have more outcomes than one."""
-    count = Counter(_rollout(row) for row in rows if is_finished(row))
+    count = Counter(_rollout(row) for row in rows if row.finished)
     twice = [rollout for rollout, outcomes in count.items() if outcomes > 1]
     if twice:
         yield bad(
@@ -56,13 +57,12 @@ def _several_outcomes(rows: Sequence[Row]) -> Iterator[Finding]:
 
 def _rollout(row: Row) -> tuple[Any, ...]:
     """What tells a row's rollout from others of its run."""
-    names = ("split", "step", "width", "engine", "ensemble", "pair")
-    return tuple(row.get(name) for name in names)
+    return row.split, row.step, row.width, row.engine, row.ensemble, row.pair
 
 
 def _outcomes(rows: Sequence[Row], asked: int, where: str, again: str) -> Finding:
     """Whether one evaluation's rows are all that was asked for; `again` runs what is missing."""
-    done = sum(map(is_finished, rows))
+    done = sum(row.finished for row in rows)
     got = f"{done} of {asked} pairs have an outcome"
     if done == asked:
         return good("evaluation", got=got, where=where)

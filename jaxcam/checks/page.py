@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from jaxcam.checks.findings import Finding, named
 from jaxcam.data.demos import Demos
 from jaxcam.files.jsonl import write_atomically
-from jaxcam.reports import html as page
 from jaxcam.reports.camera_figures import camera_poses
-from jaxcam.reports.style import BLUE, GREY, panels, save, styled
+from jaxcam.reports.html import embedded, render
+from jaxcam.reports.style import BLUE, GREY, save, side_by_side, styled
 from jaxcam.sim.task import Task
 
 
@@ -36,32 +36,30 @@ class Report:
 def write_page(report: Report, path: Path) -> Path:
     """Writes a report as one HTML file that loads nothing, and its overlays as PNG beside it."""
     with TemporaryDirectory() as folder:
-        drawn = [
-            page.picture(save(figure, Path(folder) / f"{i}.png"), caption, wide=True)
+        figures = [
+            embedded(save(figure, Path(folder) / f"{i}.png"), caption, wide=True)
             for i, (caption, figure) in enumerate(report.figures.items())
         ]
-    seen = ""
+    overlays = []
     if report.overlays is not None:
         file = write_png(path.with_suffix(".png"), report.overlays)
         caption = (
             "What cameras see, with the axes of grip and table (x red, y green, z blue) and the "
             "way of the grip (yellow) drawn where the cameras' numbers have them."
         )
-        seen = page.pictures([page.picture(file, caption, wide=True)])
-    bad, notes = (
-        "".join(tell(_in_words(f)) for f in report.findings if f.mark == mark)
-        for mark, tell in (("bad", page.notice), ("note", page.text))
+        overlays = [embedded(file, caption, wide=True)]
+    content = render(
+        "check.html",
+        report.title,
+        report.subtitle,
+        bad=[_in_words(f) for f in report.findings if f.mark == "bad"],
+        notes=[_in_words(f) for f in report.findings if f.mark == "note"],
+        findings=[(f.mark, named(f), f.got) for f in report.findings],
+        overlays=overlays,
+        figures=figures,
+        numbers=report.numbers,
     )
-    rows = [(f.mark, named(f), f.got) for f in report.findings]
-    sections = (
-        page.section("To mend", bad),
-        page.section("To know", page.card(notes) if notes else ""),
-        page.section("Findings", page.card(page.table(("", "what", "found"), rows))),
-        page.section("Pictures", seen),
-        page.section("Figures", page.pictures(drawn)),
-        page.section("Numbers", _numbers(report.numbers)),
-    )
-    write_atomically(path, page.page(report.title, report.subtitle, sections))
+    write_atomically(path, content)
     return path
 
 
@@ -87,13 +85,13 @@ def draw_figures(demos: Demos, task: Task) -> dict[str, Figure]:
 
 @styled
 def _ways(demos: Demos) -> Figure:
-    every = demos.train + demos.valid
-    figure, (lengths, above) = panels((8.2, 3.6), columns=2)
-    lengths.hist([d.length for d in every], bins=24, color=BLUE)
+    demos_drawn = demos.train + demos.valid
+    figure, (lengths, above) = side_by_side((8.2, 3.6), columns=2)
+    lengths.hist([d.length for d in demos_drawn], bins=24, color=BLUE)
     lengths.set(xlabel="control steps", ylabel="demonstrations", title="Lengths")
-    for demo in every:
+    for demo in demos_drawn:
         above.plot(demo.eef_pos[:, 0], demo.eef_pos[:, 1], color=BLUE, linewidth=0.6, alpha=0.3)
-    starts = np.stack([d.eef_pos[0, :2] for d in every])
+    starts = np.stack([d.eef_pos[0, :2] for d in demos_drawn])
     above.plot(*starts.T, "o", color=GREY, markersize=3, label="start")
     above.set_aspect("equal")
     above.set(xlabel="x (m)", ylabel="y (m)", title="Ways of the grip")
@@ -104,8 +102,3 @@ def _ways(demos: Demos) -> Figure:
 def _in_words(finding: Finding) -> str:
     expected = f" (expected: {finding.expected})" if finding.expected else ""
     return f"{named(finding)}: {finding.got}{expected}. {finding.fix}"
-
-
-def _numbers(rows: Sequence[Sequence[str]]) -> str:
-    head = ("quantity", "least", "median", "largest")
-    return page.card(page.table(head, rows)) if rows else ""

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -15,6 +16,7 @@ from jaxcam.data.pictures import intrinsics
 from jaxcam.devices import copied, data_mesh, spread
 from jaxcam.models import Policy
 from jaxcam.rays import Camera, spherical
+from jaxcam.results.rows import Row
 from jaxcam.sim import engine_name, make_engine, make_task
 from jaxcam.sim.actions import controller_of
 from jaxcam.sim.rollout import Rollouts, rollout
@@ -22,20 +24,35 @@ from jaxcam.sim.world import View
 
 VIDEO_PIXELS = 160
 VIDEO_STRIDE = 2
-"""Control steps per frame of a video."""
+"""Control steps per picture of a video."""
 
-Row = dict[str, Any]
+
+@dataclass(frozen=True)
+class Candidate:
+    """A checkpoint whose policy is evaluated.
+
+    Attributes:
+        policy: The policy.
+        params: Its parameters.
+        folder: Of the run.
+        step: Updates of the checkpoint.
+    """
+
+    policy: Policy
+    params: Any
+    folder: Path
+    step: int
 
 
 class Evaluator:
     """Runs pairs of one task, scene and action space; the compiled parts are made once.
 
     Args:
-        config: of the runs whose policies are evaluated.
-        width: rollouts simulated at once. Policies see batches of exactly this many, since the
+        config: Of the runs whose policies are evaluated.
+        width: Rollouts simulated at once. Policies see batches of exactly this many, since the
             width can change a result's last digits; it is kept in each row.
-        engine: that simulates them; `config.engine` when None.
-        ensemble: rate of temporal ensembling, 0 is off; `config.ensemble` when None.
+        engine: That simulates them; `config.engine` when None.
+        ensemble: Rate of temporal ensembling, 0 is off; `config.ensemble` when None.
     """
 
     def __init__(
@@ -58,82 +75,86 @@ class Evaluator:
 
     def run(
         self,
-        policy: Policy,
-        params: Any,
+        candidate: Candidate,
         split: str,
         pairs: Sequence[int],
-        *,
-        step: int,
-        run: str,
         tick: Callable[[], None] = lambda: None,
     ) -> tuple[list[Row], Rollouts]:
         """Runs at most `width` pairs at once.
 
         Args:
-            policy: the policy.
-            params: its parameters.
-            split: which pairs: `test` or `validation`.
-            pairs: their numbers.
-            step: of the checkpoint, for the rows.
-            run: name of the run, for the rows.
-            tick: called after every control step.
+            candidate: The checkpoint.
+            split: Which pairs: `test` or `validation`.
+            pairs: Their numbers.
+            tick: Called after every control step.
 
         Returns:
             One row per pair, and the rollouts.
         """
-        config, task, spec = self.config, self.task, policy.spec
+        config, spec = self.config, candidate.policy.spec
         # Always worlds for `width`: neither policy nor compiled physics sees another size.
         filled = [*pairs, *[pairs[-1]] * (self.width - len(pairs))]
         chosen = self.pairs(split, filled)
-        cameras, digests = chosen.cameras, chosen.digests()
-        K = intrinsics(task.fovy_deg, config.resolution)
+        K = intrinsics(self.task.fovy_deg, config.resolution)
         ahead = spec.chunk - spec.obs_steps + 1  # steps that a chunk reaches into the future
         done = rollout(
-            self._acting(policy, params),
-            task,
+            self._acting(candidate.policy, candidate.params),
+            self.task,
             self.scene,
             self.engine,
             self.renderer,
             chosen.start,
-            np.broadcast_to(K, (*cameras.shape[:2], 3, 3)),
-            cameras,
+            np.broadcast_to(K, (*chosen.cameras.shape[:2], 3, 3)),
+            chosen.cameras,
             config.action_space,
-            ahead if self.ensemble else policy.execute,
+            ahead if self.ensemble else candidate.policy.execute,
             np.arange(self.width) < len(pairs),
             tick,
             spec.obs_steps,
             self.ensemble,
         )
+        return self._rows(candidate, split, pairs, chosen, done), done
+
+    def _rows(
+        self,
+        candidate: Candidate,
+        split: str,
+        pairs: Sequence[int],
+        chosen: Pairs,
+        done: Rollouts,
+    ) -> list[Row]:
+        """A row for each of the pairs; the batch may be longer."""
+        config, cameras, digests = self.config, chosen.cameras, chosen.digests()
         azimuth, elevation, distance = (
-            np.asarray(x) for x in spherical(cameras[:, 0], np.array(task.cameras.centre))
+            np.asarray(x) for x in spherical(cameras[:, 0], np.array(self.task.cameras.centre))
         )
         return [
-            {
-                "task": config.task,
-                "scene": config.scene,
-                "run": run,
-                "policy": config.policy,
-                "conditioning": config.conditioning,
-                "seed": config.seed,
-                "step": step,
-                "split": split,
-                "pair": pair,
-                "pair_sha": digests[i],
-                "success": bool(done.success[i]),
-                "status": "ok" if done.ok[i] else "error",
-                "steps": int(done.steps[i]),
-                "azimuth_deg": float(np.rad2deg(azimuth[i])),
-                "elevation_deg": float(np.rad2deg(elevation[i])),
-                "distance": float(distance[i]),
-                "camera": cameras[i].tolist(),
-                "renderer": self.scene.look,
-                "engine": self.engine_name,
-                "ensemble": self.ensemble,
-                "width": self.width,
-                "episode_seed": chosen.seeds[i],
-            }
+            Row(
+                task=config.task,
+                scene=config.scene,
+                run=candidate.folder.name,
+                policy=config.policy,
+                conditioning=config.conditioning,
+                seed=config.seed,
+                step=candidate.step,
+                split=split,
+                pair=pair,
+                pair_sha=digests[i],
+                success=bool(done.success[i]),
+                status="ok" if done.ok[i] else "error",
+                steps=int(done.steps[i]),
+                azimuth_deg=float(np.rad2deg(azimuth[i])),
+                elevation_deg=float(np.rad2deg(elevation[i])),
+                distance=float(distance[i]),
+                camera=cameras[i].tolist(),
+                renderer=self.scene.look,
+                engine=self.engine_name,
+                ensemble=self.ensemble,
+                width=self.width,
+                episode_seed=chosen.seeds[i],
+            )
             for i, pair in enumerate(pairs)
-        ], done
+        ]
 
     def _acting(self, policy: Policy, params: Any) -> Partial:
         """The policy as rollouts call it."""
@@ -141,7 +162,7 @@ class Evaluator:
         if not self.engine_name.startswith("mjx"):  # those are one program, on one device
             mesh = data_mesh(self.width, everywhere=False)
             params = copied(mesh, params)
-        return Partial(_Acting(policy.act, mesh), params, jax.random.key(self.config.seed))
+        return Partial(Acting(policy.act, mesh), params, jax.random.key(self.config.seed))
 
     def clips(self, done: Rollouts, split: str, pairs: Sequence[int]) -> list[np.ndarray]:
         """Videos of rollouts as their first camera saw them, uint8 [T, H, W, 3] each."""
@@ -179,7 +200,7 @@ class Evaluator:
 
 
 @dataclass(frozen=True)
-class _Acting:
+class Acting:
     """A policy's `act` with chance of its own for every call."""
 
     act: Callable[..., jax.Array]
@@ -187,6 +208,7 @@ class _Acting:
     """Devices that share the batch, if it comes from the host."""
 
     def __call__(self, params: Any, root: jax.Array, obs: Any, number: jax.Array) -> jax.Array:
+        """Chunks [B, T, A] for a batch of observations; `number` is the call's, in its episode."""
         if self.mesh:
             obs = spread(self.mesh, obs)
         return jax.jit(self.act)(params, obs, jax.random.fold_in(root, number))

@@ -4,10 +4,9 @@ PyAV carries libx264 in its wheel, so nothing else has to be installed.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 import av
 import cv2
@@ -15,6 +14,8 @@ import numpy as np
 from av.video.frame import VideoFrame
 from av.video.reformatter import ColorPrimaries, ColorRange, Colorspace, ColorTrc
 from av.video.stream import VideoStream
+
+from jaxcam.results.rows import Row
 
 _BACKGROUND = (24, 26, 30)
 _RUNNING = (96, 100, 108)
@@ -115,7 +116,7 @@ def grid(
     videos: Sequence[np.ndarray],
     columns: int | None = None,
     *,
-    rows: Sequence[Mapping[str, Any]] | None = None,
+    rows: Sequence[Row] | None = None,
     hold: int = 20,
 ) -> np.ndarray:
     """Tile clips into one video; a clip that ends early stands still on its last frame.
@@ -157,9 +158,7 @@ def grid(
     return canvas
 
 
-def _fill_tile(
-    tile: np.ndarray, clip: np.ndarray, scale: int, row: Mapping[str, Any] | None
-) -> None:
+def _fill_tile(tile: np.ndarray, clip: np.ndarray, scale: int, row: Row | None) -> None:
     """Write picture, border and caption of all frames of one tile in place."""
     height, width = scale * clip.shape[1], scale * clip.shape[2]
     caption, outcome, colour = _describe(row)
@@ -177,16 +176,16 @@ def _fill_tile(
     tile[len(clip) + 1 :] = tile[min(len(clip), len(tile) - 1)]
 
 
-def _describe(row: Mapping[str, Any] | None) -> tuple[str, str, tuple[int, int, int]]:
+def _describe(row: Row | None) -> tuple[str, str, tuple[int, int, int]]:
     """Caption, outcome and colour of the outcome."""
     if row is None:
         return "", "", _RUNNING
-    caption = f"#{row['pair']}"
-    if row.get("azimuth_deg") is not None and row.get("elevation_deg") is not None:
-        caption += f"  az {row['azimuth_deg']:+.0f}  el {row['elevation_deg']:.0f}"
-    if row.get("status", "ok") != "ok" or row.get("success") is None:
+    caption = f"#{row.pair}"
+    if row.azimuth_deg is not None and row.elevation_deg is not None:
+        caption += f"  az {row.azimuth_deg:+.0f}  el {row.elevation_deg:.0f}"
+    if not row.finished:
         return caption, "error", _RUNNING
-    return (caption, "success", _SUCCESS) if row["success"] else (caption, "failed", _FAILURE)
+    return (caption, "success", _SUCCESS) if row.success else (caption, "failed", _FAILURE)
 
 
 def _write(tile: np.ndarray, caption: str, outcome: str) -> None:

@@ -13,12 +13,20 @@ from typing import Any
 
 from jaxcam.config.fields import from_json
 from jaxcam.config.train import TrainConfig
-from jaxcam.errors import ConfigError
+from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.files.jsonl import append_jsonl, read_jsonl, write_atomically
 from jaxcam.files.paths import absolute
 from jaxcam.results.protocol import Protocol, counted, lacks, protocol_of
-from jaxcam.results.stats import USUAL, Estimate, Row, latest_rows, success_rate
+from jaxcam.results.rows import USUAL_WAY, Row
+from jaxcam.results.stats import (
+    Estimate,
+    PairedDifference,
+    latest_rows,
+    paired_difference,
+    success_rate,
+)
 from jaxcam.runs.identity import FREE_TO_CHANGE, resolve
+from jaxcam.runs.rollouts import read_rows, rows_file
 
 Settings = dict[str, Any]
 
@@ -27,6 +35,7 @@ Settings = dict[str, Any]
 _OWN = {"seed", "steps_per_call", "accumulate"}
 _NO_IDENTITY = (FREE_TO_CHANGE | _OWN) - {"dataset", "engine", "ensemble"}
 _NAMED = ("task", "scene", "policy", "preset", "conditioning")
+_SHARED = ("task", "scene", "policy", "conditioning")
 _KEPT = ("step", "split", "pair", "pair_sha", "success", "status", "steps", "azimuth_deg",
          "elevation_deg", "distance", "renderer", "width")  # fmt: skip
 
@@ -62,7 +71,7 @@ class Run:
         return counted(self.rows, self.protocol)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Arm:
     """All runs of the same settings: a cell of a table, a bar of a figure."""
 
@@ -82,6 +91,16 @@ class Arm:
     def estimate(self) -> Estimate:
         """Its success with interval."""
         return success_rate(self.rows)
+
+    def against(self, other: "Arm") -> PairedDifference:
+        """Its success minus another arm's on the pairs that both have; computed once."""
+        if other not in self._differences:
+            self._differences[other] = paired_difference(self.rows, other.rows)
+        return self._differences[other]
+
+    @functools.cached_property
+    def _differences(self) -> dict["Arm", PairedDifference]:
+        return {}
 
     @functools.cached_property
     def lacks(self) -> list[str]:
@@ -108,7 +127,7 @@ class Arm:
         """Preset and changes in words.
 
         Args:
-            *without: Settings that are told elsewhere.
+            *without: Settings that are said elsewhere.
         """
         if self.settings.get("preset") is None:
             return "settings not recorded"
@@ -124,7 +143,7 @@ def plain(value: Any) -> str:
 
 
 def read_runs(paths: Iterable[str | Path], split: str = "test") -> list[Run]:
-    """All runs in and below folders; each run once, however often it is found.
+    """All runs in and below folders; each run once, however often it is met.
 
     Args:
         paths: Run folders, results folders, or folders that hold such.
@@ -136,13 +155,13 @@ def read_runs(paths: Iterable[str | Path], split: str = "test") -> list[Run]:
     """
     runs: dict[str, Run] = {}
     for path in map(absolute, paths):
-        found = list(_find(path))
-        if not found:
+        folders = list(_find(path))
+        if not folders:
             raise ConfigError(
                 f"No run in {path}: neither it nor a folder below it has a config.json or a "
                 "rows.jsonl."
             )
-        for folder in found:
+        for folder in folders:
             for run in _read(folder, split):
                 key = json.dumps([run.settings, run.seed], sort_keys=True)
                 runs[key] = _merge(runs[key], run) if key in runs else run
@@ -208,7 +227,7 @@ def write_results(folder: Path, runs: Sequence[Run]) -> None:
         part.replace(folder / "rows.jsonl")
 
 
-def training_seconds(metrics: Sequence[Row]) -> float:
+def training_seconds(metrics: Sequence[Mapping[str, Any]]) -> float:
     """Wall time of a run: "seconds" counts from the start of a process, so a resumed run adds up.
 
     Args:
@@ -236,19 +255,16 @@ def _find(path: Path) -> Iterator[Path]:
 def _read(folder: Path, split: str) -> list[Run]:
     if (folder / "config.json").is_file():
         return [_read_run(folder, split)]
-    rows = [r for r in latest_rows(read_jsonl(folder / "rows.jsonl")) if _split(r) == split]
     if (folder / "runs.json").is_file():
-        return _read_results(folder, rows)
-    return _read_rows(folder, rows)
+        return _read_results(folder, split)
+    return _read_rows(folder, split)
 
 
 def _read_run(folder: Path, split: str) -> Run:
     stored = from_json(TrainConfig, (folder / "config.json").read_text("utf-8"))
     # Settings that are newer than the run: it was made with their preset's values.
     config = resolve(stored, accelerator=False)
-    rows = [
-        r for r in latest_rows(read_jsonl(folder / "eval" / "rows.jsonl")) if _split(r) == split
-    ]
+    rows = [row for row in latest_rows(read_rows(rows_file(folder))) if row.split == split]
     settings = identity(config) | _ways(rows)
     if config.weights:
         settings["weights"] = _kind_of_weights(folder, config.weights)
@@ -256,45 +272,53 @@ def _read_run(folder: Path, split: str) -> Run:
     return Run(folder.name, folder, settings, config.seed, rows, seconds)
 
 
-def _read_results(folder: Path, rows: Sequence[Row]) -> list[Run]:
-    """The runs of a folder that `write_results` made."""
-    by_run: dict[int, list[Row]] = {}
-    for row in rows:
-        by_run.setdefault(row["run"], []).append(row)
+def _read_results(folder: Path, split: str) -> list[Run]:
+    """The runs of a folder that `write_results` made: its rows have the number of their run."""
+    lines: dict[Any, list[tuple[str, Settings]]] = {}
+    for number, line in enumerate(read_jsonl(folder / "rows.jsonl"), start=1):
+        where = f"{folder / 'rows.jsonl'}, line {number}"
+        if not isinstance(line, dict) or "run" not in line:
+            raise DatasetError(f"{where}: expected a rollout with the number of its run.")
+        lines.setdefault(line["run"], []).append((where, line))
     runs = []
     for record in json.loads((folder / "runs.json").read_text("utf-8")):
-        shared = {k: record["settings"].get(k) for k in ("task", "scene", "policy", "conditioning",
-                                                         "engine", "ensemble")}  # fmt: skip
-        shared |= {"seed": record["seed"], "run": record["name"]}
-        some: list[Row] = [{**row, **shared} for row in by_run.get(record["run"], [])]
-        runs.append(Run(record["name"], None, record["settings"], record["seed"], some,
-                        record["seconds"]))  # fmt: skip
+        settings, seed = record["settings"], record["seed"]
+        shared = {name: settings.get(name) for name in _SHARED}
+        shared |= {"run": record["name"], "seed": seed}
+        # Where a run was evaluated in several ways, the settings list them all.
+        shared |= {k: v for k, v in settings.items() if k in USUAL_WAY and not isinstance(v, list)}
+        rows = latest_rows(
+            Row.from_json(line | shared, where) for where, line in lines.get(record["run"], [])
+        )
+        rows = [row for row in rows if row.split == split]
+        runs.append(Run(record["name"], None, settings, seed, rows, record["seconds"]))
     return runs
 
 
-def _read_rows(folder: Path, rows: Sequence[Row]) -> list[Run]:
-    """Rows alone: their settings are known as far as rows tell."""
-    names = ("task", "scene", "policy", "conditioning")
-    by_run: dict[tuple[Any, ...], list[Row]] = {}
-    for row in rows:
-        by_run.setdefault(tuple(row.get(k) for k in (*names, "seed", "run")), []).append(row)
+def _read_rows(folder: Path, split: str) -> list[Run]:
+    """The runs of rows alone: their settings are known as far as rows say them."""
+    runs: dict[tuple[Any, ...], list[Row]] = {}
+    for row in latest_rows(read_rows(folder / "rows.jsonl")):
+        if row.split == split:
+            key = tuple(getattr(row, name) for name in (*_SHARED, "seed", "run"))
+            runs.setdefault(key, []).append(row)
     return [
-        Run(key[-1] or folder.name, None, dict(zip(names, key[:4], strict=True)) | _ways(some),
-            key[4], some)
-        for key, some in by_run.items()
+        Run(name or folder.name, None, dict(zip(_SHARED, shared, strict=True)) | _ways(rows),
+            seed, rows)
+        for (*shared, seed, name), rows in runs.items()
     ]  # fmt: skip
 
 
 def _merge(one: Run, other: Run) -> Run:
     """The rollouts of both; they are the same run, or it is an error."""
-    known = {(r.get("step"), r["pair"]): r for r in one.rows}
+    known = {(row.step, row.pair): row for row in one.rows}
     for row in other.rows:
-        before = known.setdefault((row.get("step"), row["pair"]), row)
-        if before.get("success") != row.get("success"):
+        before = known.setdefault((row.step, row.pair), row)
+        if before.success != row.success:
             where = " and ".join(str(run.folder or run.name) for run in (one, other))
             raise ConfigError(
                 f"{where} have the same settings and the same seed ({one.seed}), but pair "
-                f"{row['pair']} at step {row.get('step')} ended differently. They are two runs of "
+                f"{row.pair} at step {row.step} ended differently. They are two runs of "
                 "one thing: give only one of them."
             )
     return replace(one if one.folder else other, rows=list(known.values()))
@@ -306,28 +330,28 @@ def _check_pairs(runs: Iterable[Run]) -> None:
     for run in runs:
         s = run.settings
         for row in run.rows:
-            if (sha := row.get("pair_sha")) is None:
+            if row.pair_sha is None:
                 continue
-            key = (s["task"], s["scene"], s.get("views"), _split(row), row["pair"])
-            known, other = first.setdefault(key, (sha, run))
-            if known != sha:
+            key = (s["task"], s["scene"], s.get("views"), row.split, row.pair)
+            known, other = first.setdefault(key, (row.pair_sha, run))
+            if known != row.pair_sha:
                 raise ConfigError(
                     f"{other.folder or other.name} and {run.folder or run.name} were evaluated on "
-                    f"different pairs of the same number ({row['pair']}: {known} and {sha}), so "
-                    "they cannot be compared. Evaluate both with one version."
+                    f"different pairs of the same number ({row.pair}: {known} and {row.pair_sha}), "
+                    "so they cannot be compared. Evaluate both with one version."
                 )
 
 
 @functools.lru_cache
 def _usual(*named: str, steps: int | None = None) -> Settings:
     config = TrainConfig(**dict(zip(_NAMED, named, strict=True)), steps=steps)  # pyright: ignore
-    return identity(resolve(config, accelerator=False)) | USUAL
+    return identity(resolve(config, accelerator=False)) | USUAL_WAY
 
 
 def _ways(rows: Iterable[Row]) -> Settings:
     """How the policy was run."""
-    found = {k: sorted({(USUAL | dict(r))[k] for r in rows}) for k in USUAL}
-    return {k: USUAL[k] if not v else v[0] if len(v) == 1 else v for k, v in found.items()}
+    used = {name: sorted({getattr(row, name) for row in rows}) for name in USUAL_WAY}
+    return {k: USUAL_WAY[k] if not v else v[0] if len(v) == 1 else v for k, v in used.items()}
 
 
 def _kind_of_weights(folder: Path, name: str) -> str:
@@ -336,10 +360,6 @@ def _kind_of_weights(folder: Path, name: str) -> str:
     return kind or Path(name).stem
 
 
-def _split(row: Mapping[str, Any]) -> str:
-    return row.get("split", "test")
-
-
 def _brief(row: Row) -> Settings:
-    brief = {k: row[k] for k in _KEPT if k in row}
+    brief = row.to_json(_KEPT)
     return {k: round(v, 3) if isinstance(v, float) else v for k, v in brief.items()}

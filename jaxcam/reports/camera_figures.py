@@ -9,8 +9,9 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from jaxcam.reports.style import BLUE, GREY, RATE, VERMILION, panels, percent, styled
-from jaxcam.results.stats import Row, is_finished, wilson
+from jaxcam.reports.style import BLUE, GREY, RATE, VERMILION, percent, side_by_side, styled
+from jaxcam.results.rows import Row
+from jaxcam.results.stats import wilson
 
 
 @styled
@@ -102,7 +103,7 @@ def camera_poses(
     Returns:
         The figure.
     """
-    figure, (above, side) = panels((8.2, 4.2), columns=2)
+    figure, (above, side) = side_by_side((8.2, 4.2), columns=2)
     for poses, colour, label in ((train, GREY, "training"), (test, BLUE, "held out")):
         poses = np.asarray(poses, float).reshape(-1, 4, 4)
         position, forward = poses[:, :3, 3] - centre, poses[:, :3, 2]
@@ -141,7 +142,7 @@ def ray_picture(image: np.ndarray, rays: np.ndarray) -> Figure:
         raise ValueError(f"rays must be [H, W, 6], got {rays.shape}")
     direction, moment = rays[..., :3], rays[..., 3:]
     scale = max(float(np.abs(moment).max()), 1e-9)
-    figure, columns = panels((8.2, 3.2), columns=3)
+    figure, columns = side_by_side((8.2, 3.2), columns=3)
     image = np.asarray(image)
     if image.dtype != np.uint8:
         image = np.clip(image / 255, 0, 1)
@@ -161,10 +162,9 @@ def rate_by_camera(rows: Iterable[Row]) -> np.ndarray:
     """[cameras, 4]: azimuth, elevation, success rate, rollouts."""
     outcomes: dict[tuple[float, float], list[float]] = {}
     for row in rows:
-        angles = (row.get("azimuth_deg"), row.get("elevation_deg"))
-        if is_finished(row) and angles[0] is not None and angles[1] is not None:
-            key = (round(float(angles[0]), 3), round(float(angles[1]), 3))
-            outcomes.setdefault(key, []).append(float(row["success"]))
+        if row.finished and row.azimuth_deg is not None and row.elevation_deg is not None:
+            key = (round(float(row.azimuth_deg), 3), round(float(row.elevation_deg), 3))
+            outcomes.setdefault(key, []).append(float(row.success or 0))
     table = [(*key, np.mean(values), len(values)) for key, values in outcomes.items()]
     return np.array(table, float).reshape(-1, 4)
 

@@ -28,15 +28,14 @@ from jaxcam.reports.document import (
     to_latex,
     to_markdown,
 )
-from jaxcam.reports.studies import CONDITIONINGS, STUDIES, names, panels
-from jaxcam.reports.study_figures import bars, curves, maps
-from jaxcam.reports.study_figures import gains as draw_gains
+from jaxcam.reports.studies import CONDITIONINGS, STUDIES, arms_of, names, panels
+from jaxcam.reports.study_figures import bars, curves, maps, rates_and_gains
 from jaxcam.reports.style import save
 from jaxcam.reports.tables import (
     by_task,
     cells,
     context,
-    gains,
+    gains_table,
     is_of_table,
     runs_table,
     table_one,
@@ -103,10 +102,10 @@ def _about(arms: Sequence[Arm]) -> list[Block]:
 def _main(arms: Sequence[Arm], out: Path) -> list[Block]:
     """Table I and the paired differences, with a picture for each task."""
     blocks: list[Block] = [Heading("With and without the camera pose"), table_one(arms)]
-    if table := gains(arms):
+    if table := gains_table(arms):
         blocks += [Heading("Paired differences"), table]
     if twins := [some for some in twins_of(arms) if is_of_table(some[0])]:
-        path = save(draw_gains(twins), out / "figures" / "gains.png")
+        path = save(rates_and_gains(twins), out / "figures" / "gains.png")
         caption = (
             "Grey: image only. Hollow points: fewer rollouts than the protocol asks for. Diamonds: "
             "the paper. n: rollouts with and without the camera pose."
@@ -119,24 +118,24 @@ def _studies(arms: Sequence[Arm], out: Path) -> list[Block]:
     """The paper's figures for which there are rows."""
     blocks: list[Block] = []
     for study in STUDIES:
-        found = panels(study, arms)
-        if not found:
+        shown = panels(study, arms)
+        if not shown:
             continue
-        shown = [a for panel in found for some in panel.arms.values() for a in some.values()]
-        named = names(study, shown)
-        figure = curves(found, "cameras") if study.field == "n" else bars(found, named)
+        of_study = arms_of(shown)
+        named = names(study, of_study)
+        figure = curves(shown, "cameras") if study.field == "n" else bars(shown, named)
         path = save(figure, out / "figures" / f"{study.file}.png")
         caption = f"{study.title}. The paper's finding: {paper.SAYS[study.field]}"
         blocks += [Heading(study.title), Picture(_relative(path, out), caption),
-                   cells(shown, study.field, named)]  # fmt: skip
+                   cells(of_study, study.field, named)]  # fmt: skip
     return blocks
 
 
 def _maps(arms: Sequence[Arm], out: Path) -> list[Block]:
     """Where on the sphere of cameras each policy works."""
     blocks: list[Block] = []
-    told = [a for a in arms if len(rate_by_camera(a.rows))]
-    for name, some in _by_conditioning(told).items():
+    mapped = [a for a in arms if len(rate_by_camera(a.rows))]
+    for name, some in _by_conditioning(mapped).items():
         path = save(maps(some), out / "figures" / f"map-{name}.png")
         blocks.append(Picture(_relative(path, out), f"Success by camera: {_caption(some[0])}"))
     return [Heading("Success by camera direction"), *blocks] if blocks else []

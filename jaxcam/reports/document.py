@@ -1,12 +1,12 @@
 """A report's content once, written as Markdown, LaTeX and HTML."""
 
+import itertools
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from jaxcam.reports import html as page
+from jaxcam.reports.html import embedded, render
 
 
 @dataclass(frozen=True)
@@ -127,21 +127,15 @@ def to_html(document: Document, folder: Path) -> str:
         document: What it says.
         folder: That the pictures' paths are relative to.
     """
-    parts, figures = [], []
-    for block in document.blocks:
-        if isinstance(block, Picture):
-            figures.append(page.picture(folder / block.path, block.caption, wide=True))
-            continue
-        parts += [page.pictures(figures)]
-        figures = []
-        match block:
-            case Heading():
-                parts.append(page.section(block.text, " "))
-            case Text():
-                parts.append(page.notice(block.text) if block.warns else page.text(block.text))
-            case Table():
-                parts.append(_html_table(block))
-    return page.page(document.title, document.subtitle, [*parts, page.pictures(figures)])
+    blocks: list[tuple[str, object]] = []
+    for pictures, group in itertools.groupby(document.blocks, lambda b: isinstance(b, Picture)):
+        if pictures:
+            shown = (block for block in group if isinstance(block, Picture))
+            figures = [embedded(folder / p.path, p.caption, wide=True) for p in shown]
+            blocks.append(("Pictures", figures))
+        else:
+            blocks += [(type(block).__name__, block) for block in group]
+    return render("document.html", document.title, document.subtitle, blocks=blocks)
 
 
 def _latex_table(table: Table) -> str:
@@ -161,14 +155,6 @@ def _latex_table(table: Table) -> str:
     )
 
 
-def _html_table(table: Table) -> str:
-    cells = [list(map(_html, row)) for row in table.rows]
-    content = page.table(table.head, cells, table.rules)
-    if table.folded:
-        return page.folded(table.caption, content)
-    return page.text(table.caption) + page.card(content)
-
-
 def _markdown(cell: str | Link) -> str:
     if isinstance(cell, Link):
         return f"[{_markdown(cell.text)}]({cell.href.replace(' ', '%20')})"
@@ -185,7 +171,3 @@ def _latex(cell: str | Link) -> str:
     text = cell.text if isinstance(cell, Link) else cell
     lines = ["".join(_LATEX.get(c, c) for c in line) for line in text.split("\n")]
     return lines[0] if len(lines) == 1 else r"\shortstack[l]{" + r" \\ ".join(lines) + "}"
-
-
-def _html(cell: str | Link) -> Any:
-    return page.link(cell.text, cell.href) if isinstance(cell, Link) else cell

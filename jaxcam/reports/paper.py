@@ -16,6 +16,7 @@ TASKS = {
 }
 """Tasks in the order of Table I."""
 POLICIES = {"act": "ACT", "diffusion": "DP", "smolvla": "SmolVLA"}
+"""Policies in the order of Table I, as it calls them."""
 CONDITIONING = {"act": "late", "diffusion": "early", "smolvla": "late"}
 """How each policy is told the camera pose in Table I."""
 ENCODINGS = ("token", "early", "late")
@@ -48,9 +49,14 @@ def task_title(name: str) -> str:
     return TASKS.get(name) or name
 
 
-def policy_title(name: str) -> str:
-    """The paper's name of a kind of policy, or our own."""
-    return POLICIES.get(name) or name
+def policy_title(name: str, *, short: bool = True) -> str:
+    """The paper's name of a kind of policy, or our own.
+
+    Args:
+        name: Such as "diffusion".
+        short: Whether as in its tables, or in full.
+    """
+    return "Diffusion Policy" if name == "diffusion" and not short else POLICIES.get(name) or name
 
 
 def success(policy: str, task: str, conditioned: bool) -> float | None:

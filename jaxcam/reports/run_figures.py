@@ -1,10 +1,11 @@
-"""The figures of a run and of a comparison of runs.
+"""The figures of a run.
 
 Every function takes rows or arrays and returns a matplotlib `Figure`; `save` writes PNG or SVG.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,22 +15,17 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from jaxcam.reports.camera_figures import camera_poses, rate_by_camera, ray_picture, success_map
 from jaxcam.reports.style import (
     BLUE,
-    GREY,
     VERMILION,
-    beside,
-    interval,
     note,
-    panels,
     percent,
-    rates_and_differences,
     save,
+    side_by_side,
     styled,
 )
-from jaxcam.results.stats import Row, by_field, p_text, paired_difference, success_rate
+from jaxcam.results.rows import Row
 
 __all__ = [
     "camera_poses",
-    "comparison",
     "loss_curves",
     "ray_picture",
     "save",
@@ -40,7 +36,7 @@ __all__ = [
 
 
 @styled
-def loss_curves(metrics: Iterable[Row]) -> Figure:
+def loss_curves(metrics: Iterable[Mapping[str, Any]]) -> Figure:
     """Training loss (each logged value and its running mean) and validation loss over steps.
 
     Args:
@@ -50,7 +46,7 @@ def loss_curves(metrics: Iterable[Row]) -> Figure:
         The figure.
     """
     metrics = list(metrics)
-    figure, (axes,) = panels((6.4, 3.5))
+    figure, (axes,) = side_by_side((6.4, 3.5))
     steps, losses = _series(metrics, "loss")
     if len(steps):
         if len(steps) > 20:
@@ -74,7 +70,7 @@ def loss_curves(metrics: Iterable[Row]) -> Figure:
 
 
 @styled
-def success_curve(metrics: Iterable[Row]) -> Figure:
+def success_curve(metrics: Iterable[Mapping[str, Any]]) -> Figure:
     """Success on held-out pairs over training steps, with the 95 % interval as a band.
 
     Args:
@@ -84,7 +80,7 @@ def success_curve(metrics: Iterable[Row]) -> Figure:
         The figure.
     """
     rows = sorted((r for r in metrics if "success_rate" in r), key=lambda r: r["step"])
-    figure, (axes,) = panels((6.4, 3.5))
+    figure, (axes,) = side_by_side((6.4, 3.5))
     axes.set(title="Success on held-out cameras", xlabel="training step", ylim=(0, 1))
     axes.yaxis.set_major_formatter(percent())
     if rows:
@@ -108,45 +104,9 @@ def success_curve(metrics: Iterable[Row]) -> Figure:
     return figure
 
 
-@styled
-def comparison(arms: Mapping[str, Sequence[Row]], baseline: str | None = None) -> Figure:
-    """Success of several arms with intervals, and their paired difference to one of them.
-
-    Args:
-        arms: Evaluation rows by the name to show.
-        baseline: Arm the others are compared with; the last one when not given.
-
-    Returns:
-        The figure: at the left the rates (large point: all seeds; small points: each seed), at the
-        right the paired differences.
-    """
-    names = list(arms)
-    baseline = names[-1] if baseline is None else baseline
-    figure, (left, right) = panels((9.2, 1.5 + 0.48 * len(names)), columns=2, share_y=True)
-    for y, name in enumerate(names):
-        estimate = success_rate(arms[name])
-        colour = GREY if name == baseline else BLUE
-        interval(left, y, (estimate.value, estimate.low, estimate.high), colour)
-        by_seed = by_field(arms[name], "seed")
-        if len(by_seed) > 1:
-            rates = [success_rate(of_seed).value for of_seed in by_seed.values()]
-            left.plot(rates, [y + 0.22] * len(rates), "o", color=colour, markersize=3.5, alpha=0.6)
-        text = f"{100 * estimate.value:.1f} %  n = {estimate.n}"
-        beside(left, y, text if estimate.n else "no rollouts")
-        if name == baseline:
-            beside(right, y, "baseline")
-            continue
-        delta = paired_difference(arms[name], arms[baseline])
-        interval(right, y, (delta.value, delta.low, delta.high), colour)
-        words = f"{100 * delta.value:+.1f}  p {p_text(delta.p_value)}  {delta.pairs} pairs"
-        beside(right, y, words)
-    left.set_title("Success on held-out pairs")
-    right.set_title(f"Difference to {baseline}")
-    rates_and_differences(left, right, names)
-    return figure
-
-
-def write_plots(folder: str | Path, metrics: Sequence[Row], rows: Sequence[Row]) -> list[Path]:
+def write_plots(
+    folder: str | Path, metrics: Sequence[Mapping[str, Any]], rows: Sequence[Row]
+) -> list[Path]:
     """Draw the figures of one run that its rows allow: loss, success, success over the sphere.
 
     Args:
@@ -168,7 +128,7 @@ def write_plots(folder: str | Path, metrics: Sequence[Row], rows: Sequence[Row])
     return written
 
 
-def _series(metrics: Sequence[Row], name: str) -> tuple[np.ndarray, np.ndarray]:
+def _series(metrics: Sequence[Mapping[str, Any]], name: str) -> tuple[np.ndarray, np.ndarray]:
     """Steps and finite values of one metric."""
     points = [(row["step"], row[name]) for row in metrics if row.get(name) is not None]
     table = np.array(points, float).reshape(-1, 2)

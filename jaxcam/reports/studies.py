@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from jaxcam.config.presets import NAMES
 from jaxcam.reports import paper
 from jaxcam.reports.arms import Arm
 from jaxcam.reports.tables import by_task, context
@@ -44,7 +45,8 @@ class Panel:
     arms: Mapping[Any, Mapping[str, Arm]]
 
 
-CONDITIONINGS = ("none", "token", "early", "late", "keypoints")
+CONDITIONINGS = NAMES["conditioning"]
+"""In the order of figures."""
 
 STUDIES = (
     Study("scene", "Fixed against randomised scenes", "fixed_randomized",
@@ -54,8 +56,7 @@ STUDIES = (
           {"eef_delta": "delta EEF", "eef_abs": "abs. EEF", "joint_delta": "delta joint",
            "joint_abs": "abs. joint", "eef_delta_componentwise": "delta EEF by component"}),
     Study("conditioning", "Ways to encode the camera pose", "encodings",
-          {"none": "none", "token": "token", "early": "early", "late": "late",
-           "keypoints": "keypoints"}, least=3),
+          {name: name for name in CONDITIONINGS}, least=3),
     Study("weights", "Pretrained image encoders", "pretraining", {"": "none"}),
     Study("n", "Number of cameras, all seen by every demonstration (m = 0)", "cameras", {},
           lambda arm: arm.settings.get("m") == 0),
@@ -70,7 +71,7 @@ def panels(study: Study, arms: Sequence[Arm]) -> list[Panel]:
         arms: All there are.
     """
     known = [a for a in arms if a.estimate.n and study.belongs(a) and study.field in a.settings]
-    found = []
+    shown = []
     for some in by_task(known).values():
         groups: dict[str, list[Arm]] = {}
         for arm in some:
@@ -84,8 +85,13 @@ def panels(study: Study, arms: Sequence[Arm]) -> list[Panel]:
                         if a.settings[study.field] == value}
                 for value in values
             }  # fmt: skip
-            found.append(Panel(_title(study, group[0]), chosen))
-    return found
+            shown.append(Panel(_title(study, group[0]), chosen))
+    return shown
+
+
+def arms_of(shown: Sequence[Panel]) -> list[Arm]:
+    """The arms of panels, in their order."""
+    return [arm for panel in shown for arms in panel.arms.values() for arm in arms.values()]
 
 
 def names(study: Study, arms: Sequence[Arm]) -> dict[Any, str]:

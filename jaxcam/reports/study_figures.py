@@ -19,20 +19,20 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from jaxcam.reports.arms import Arm
 from jaxcam.reports.camera_figures import angle_ticks, draw_cameras, rate_by_camera
 from jaxcam.reports.paper import policy_title, task_title
-from jaxcam.reports.studies import CONDITIONINGS, Panel
+from jaxcam.reports.studies import CONDITIONINGS, Panel, arms_of
 from jaxcam.reports.style import (
     GREY,
     INK,
     RATE,
     beside,
     interval,
-    panels,
     percent,
     rates_and_differences,
+    side_by_side,
     styled,
 )
 from jaxcam.reports.tables import paper_value
-from jaxcam.results.stats import p_text, paired_difference
+from jaxcam.results.stats import p_text
 
 COLOURS = {"none": "#7A828C", "token": "#CC79A7", "early": "#E69F00", "late": "#0072B2",
            "keypoints": "#009E73"}  # fmt: skip
@@ -70,7 +70,7 @@ def bars(shown: Sequence[Panel], names: Mapping[Any, str]) -> Figure:
         axes.set_xticks(ticks, [names[value] for value in panel.arms], rotation=20 if long else 0,
                         ha="right" if long else "center")  # fmt: skip
         _rates(axes)
-    _legend(figure, [a for p in shown for arms in p.arms.values() for a in arms.values()], Patch)
+    _legend(figure, arms_of(shown), Patch)
     return figure
 
 
@@ -85,31 +85,19 @@ def curves(shown: Sequence[Panel], label: str) -> Figure:
     figure, grid = _grid(len(shown), (4.4, 3.5))
     for axes, panel in zip(grid, shown, strict=True):
         for way in CONDITIONINGS:
-            points = [(value, arms[way]) for value, arms in panel.arms.items() if way in arms]
-            if not points:
-                continue
-            at = [value for value, _ in points]
-            estimates = [arm.estimate for _, arm in points]
-            colour = COLOURS[way]
-            axes.plot(at, [e.value for e in estimates], color=colour)
-            low, high = [e.low for e in estimates], [e.high for e in estimates]
-            axes.fill_between(at, low, high, color=colour, alpha=0.15, linewidth=0)
-            for value, arm in points:
-                face = "white" if arm.lacks else colour
-                axes.plot(value, arm.estimate.value, "o", color=colour, markerfacecolor=face)
+            _curve(axes, {x: arms[way] for x, arms in panel.arms.items() if way in arms}, way)
         axes.set(xscale="log", ylim=(0, 1), xlabel=label)
         _title(axes, panel.title)
         axes.xaxis.set_major_locator(FixedLocator(list(panel.arms)))
         axes.xaxis.set_minor_locator(NullLocator())
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         _rates(axes)
-    arms = [a for p in shown for some in p.arms.values() for a in some.values()]
-    _legend(figure, arms, Line2D, papers=False)
+    _legend(figure, arms_of(shown), Line2D, papers=False)
     return figure
 
 
 @styled
-def gains(twins: Sequence[tuple[Arm, Arm]]) -> Figure:
+def rates_and_gains(twins: Sequence[tuple[Arm, Arm]]) -> Figure:
     """Success with and without the camera pose, and their paired difference.
 
     Args:
@@ -118,7 +106,7 @@ def gains(twins: Sequence[tuple[Arm, Arm]]) -> Figure:
     Returns:
         The figure: at the left both rates, at the right the differences; diamonds are the paper's.
     """
-    figure, (left, right) = panels((9.6, 1.3 + 0.42 * len(twins)), columns=2, share_y=True)
+    figure, (left, right) = side_by_side((9.6, 1.3 + 0.42 * len(twins)), columns=2, share_y=True)
     for y, (arm, twin) in enumerate(twins):
         colour = COLOURS[arm.settings["conditioning"]]
         for one, shade, height in ((twin, COLOURS["none"], y + 0.15), (arm, colour, y - 0.15)):
@@ -126,7 +114,7 @@ def gains(twins: Sequence[tuple[Arm, Arm]]) -> Figure:
             interval(left, height, (e.value, e.low, e.high), shade, hollow=bool(one.lacks))
             if (value := paper_value(one)) is not None:
                 _diamond(left, value / 100, height)
-        delta = paired_difference(arm.rows, twin.rows)
+        delta = arm.against(twin)
         interval(right, y, (delta.value, delta.low, delta.high), colour,
                  hollow=bool(arm.lacks or twin.lacks))  # fmt: skip
         papers = paper_value(arm), paper_value(twin)
@@ -172,6 +160,19 @@ def _grid(count: int, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:
     for empty in grid[count:]:
         empty.remove()
     return figure, grid[:count]
+
+
+def _curve(axes: Axes, arms: Mapping[Any, Arm], way: str) -> None:
+    """Success of arms by a number, with intervals; nothing without arms."""
+    colour, estimates = COLOURS[way], [arm.estimate for arm in arms.values()]
+    if not arms:
+        return
+    axes.plot([*arms], [e.value for e in estimates], color=colour)
+    low, high = [e.low for e in estimates], [e.high for e in estimates]
+    axes.fill_between([*arms], low, high, color=colour, alpha=0.15, linewidth=0)
+    for x, arm in arms.items():
+        face = "white" if arm.lacks else colour
+        axes.plot(x, arm.estimate.value, "o", color=colour, markerfacecolor=face)
 
 
 def _bar(axes: Axes, x: float, arm: Arm) -> None:

@@ -61,7 +61,7 @@ def save(figure: Figure, path: str | Path) -> Path:
     return path
 
 
-def panels(
+def side_by_side(
     size: tuple[float, float], columns: int = 1, share_y: bool = False
 ) -> tuple[Figure, list[Axes]]:
     """A figure of so many inches with its axes side by side."""

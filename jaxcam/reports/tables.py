@@ -12,7 +12,7 @@ from typing import Any
 from jaxcam.reports import paper
 from jaxcam.reports.arms import Arm, Run, plain
 from jaxcam.reports.document import Link, Table
-from jaxcam.results.stats import Difference, by_field, p_text, paired_difference
+from jaxcam.results.stats import PairedDifference, by_field, p_text
 
 NONE = "–"
 # Settings that a task brings with it, so that they differ between the columns of Table I.
@@ -69,12 +69,12 @@ def table_one(arms: Sequence[Arm]) -> Table:
     return Table(caption, ("Method", "Source", *titles), rows, rules)
 
 
-def gains(arms: Sequence[Arm]) -> Table | None:
+def gains_table(arms: Sequence[Arm]) -> Table | None:
     """Paired differences of every conditioned arm to its image-only twin; None without any."""
     rows = []
     for arm, twin in twins_of(arms):
         s = arm.settings
-        delta = paired_difference(arm.rows, twin.rows)
+        delta = arm.against(twin)
         rows.append([
             paper.policy_title(s["policy"]), _task(arm), s["conditioning"],
             arm.label(), _paper_gain(arm), *_difference(delta),
@@ -106,10 +106,10 @@ def cells(arms: Sequence[Arm], field: str, order: Mapping[Any, str]) -> Table:
         twin = base.get(context(arm, "conditioning"))
         reference = firsts.get(context(arm, field))
         others = [] if field == "conditioning" else [_against(arm, reference)]
-        told = [] if field == "conditioning" else [s["conditioning"]]
+        way = [] if field == "conditioning" else [s["conditioning"]]
         rows.append([
             _task(arm) if field != "scene" else paper.task_title(s["task"]),
-            arm.label(field), order[s[field]], *told,
+            arm.label(field), order[s[field]], *way,
             _rate(e.value, e.low, e.high), arm.count(), _against(arm, twin), *others,
         ])  # fmt: skip
     names = ["Conditioning"] if field != "conditioning" else []
@@ -135,7 +135,7 @@ def runs_table(runs: Iterable[Run], links: Mapping[str, Sequence[Link]]) -> Tabl
         films = links.get(run.name, ())
         rows.append([
             run.name, str(run.seed), arm.label(), f"{len(steps)}",
-            f"{max((s or 0 for s in steps), default=0):,}", str(estimate.n),
+            f"{max(steps, default=0):,}", str(estimate.n),
             str(estimate.excluded), _rate(estimate.value, estimate.low, estimate.high), hours,
             films[0] if films else NONE,
         ])  # fmt: skip
@@ -156,7 +156,7 @@ def to_csv(arms: Sequence[Arm]) -> str:
     writer.writerow(head)
     for arm in arms:
         e, twin = arm.estimate, base.get(context(arm, "conditioning"))
-        d = None if twin is None or twin is arm else paired_difference(arm.rows, twin.rows)
+        d = None if twin is None or twin is arm else arm.against(twin)
         settings = (arm.settings.get(name) for name in names)
         known = paper_value(arm)
         writer.writerow([
@@ -173,12 +173,12 @@ def to_csv(arms: Sequence[Arm]) -> str:
 def paper_value(arm: Arm) -> float | None:
     """Table I's success in percent where the arm has its settings, else None."""
     s = arm.settings
-    told = s["conditioning"] != "none"
+    conditioned = s["conditioning"] != "none"
     if not paper.is_table_setting(s):
         return None
-    if told and s["conditioning"] != _papers_way(s["policy"]):
+    if conditioned and s["conditioning"] != _papers_way(s["policy"]):
         return None
-    return paper.success(s["policy"], s["task"], told)
+    return paper.success(s["policy"], s["task"], conditioned)
 
 
 def is_of_table(arm: Arm) -> bool:
@@ -201,18 +201,18 @@ def _lines(arms: Sequence[Arm], policy: str, conditioned: bool) -> list[tuple[st
     lines = []
     groups: dict[str, list[Arm]] = {}
     for arm in arms:
-        told = arm.settings["conditioning"] != "none"
-        if arm.settings["policy"] == policy and told == conditioned:
+        has_pose = arm.settings["conditioning"] != "none"
+        if arm.settings["policy"] == policy and has_pose == conditioned:
             groups.setdefault(context(arm, "task", *_OF_TASK), []).append(arm)
     for some in groups.values():
         columns = by_task(sorted(some, key=lambda a: -(a.settings.get("steps") or 0)))
         for line in zip_longest(*columns.values()):
-            found = {a.settings["task"]: a for a in line if a is not None}
-            first = next(iter(found.values()))
+            by_name = {a.settings["task"]: a for a in line if a is not None}
+            first = next(iter(by_name.values()))
             way = [first.settings["conditioning"]] if conditioned else []
-            words = ["ours", *way, first.label(*_OF_TASK), *_steps([*found.values()])]
+            words = ["ours", *way, first.label(*_OF_TASK), *_steps([*by_name.values()])]
             source = "\n".join(textwrap.fill(line, 26) for line in words)
-            lines.append((source, found))
+            lines.append((source, by_name))
     return lines
 
 
@@ -255,7 +255,7 @@ def _rate_cell(arm: Arm | None, base: Mapping[str, Arm]) -> str:
     e, twin = arm.estimate, base.get(context(arm, "conditioning"))
     gain = ""
     if twin is not None and twin is not arm and twin.rows:
-        delta = paired_difference(arm.rows, twin.rows)
+        delta = arm.against(twin)
         gain = f" ({100 * delta.value:+.1f})" if delta.pairs else ""
     interval = f"[{100 * e.low:.1f}, {100 * e.high:.1f}]"
     return f"{100 * e.value:.1f}{gain}\n{interval}\nn = {arm.count()}"
@@ -267,7 +267,7 @@ def _rate(value: float, low: float, high: float) -> str:
     return f"{100 * value:.1f} [{100 * low:.1f}, {100 * high:.1f}]"
 
 
-def _difference(delta: Difference) -> list[str]:
+def _difference(delta: PairedDifference) -> list[str]:
     if not delta.pairs:
         return [NONE, NONE, "0"]
     value, low, high = (100 * x for x in (delta.value, delta.low, delta.high))
@@ -279,7 +279,7 @@ def _difference(delta: Difference) -> list[str]:
 def _against(arm: Arm, other: Arm | None) -> str:
     if other is None or other is arm or not arm.rows or not other.rows:
         return NONE
-    delta = paired_difference(arm.rows, other.rows)
+    delta = arm.against(other)
     if not delta.pairs:
         return "no shared pairs"
     gain, p_value, _ = _difference(delta)

@@ -4,7 +4,8 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from jaxcam.results.stats import Row, by_field, is_finished
+from jaxcam.results.rows import Row
+from jaxcam.results.stats import by_field
 
 ATTEMPTS = 2
 """Times that a pair is run whose rollout ends in an error of the physics or the policy."""
@@ -66,10 +67,10 @@ def counted(rows: Sequence[Row], protocol: Protocol) -> list[Row]:
         protocol: How many checkpoints and pairs.
     """
     by_step = by_field(rows, "step")
-    newest = sorted(by_step, key=lambda step: step or 0)[-protocol.checkpoints :]
+    newest = sorted(by_step)[-protocol.checkpoints :]
     if len(newest) == 1:
         return list(by_step[newest[0]])
-    return [row for step in newest for row in by_step[step] if row["pair"] < protocol.pairs]
+    return [row for step in newest for row in by_step[step] if row.pair < protocol.pairs]
 
 
 def missing(rows: Sequence[Row], pairs: int) -> list[int]:
@@ -79,8 +80,8 @@ def missing(rows: Sequence[Row], pairs: int) -> list[int]:
         rows: Evaluation rows of the checkpoint.
         pairs: How many pairs there are.
     """
-    tries = Counter(row["pair"] for row in rows)
-    done = {row["pair"] for row in rows if row["status"] == "ok"}
+    tries = Counter(row.pair for row in rows)
+    done = {row.pair for row in rows if row.status == "ok"}
     return [p for p in range(pairs) if p not in done and tries[p] < ATTEMPTS]
 
 
@@ -113,5 +114,5 @@ def lacks(runs: Iterable[Sequence[Row]], protocol: Protocol, last: int | None) -
 def _shape(rows: Sequence[Row]) -> tuple[int, int, int]:
     """Checkpoints, finished pairs of the checkpoint that has fewest, and the newest step."""
     by_step = by_field(rows, "step")
-    pairs = (len({r["pair"] for r in some if is_finished(r)}) for some in by_step.values())
-    return len(by_step), min(pairs), max(step or 0 for step in by_step)
+    pairs = (len({r.pair for r in some if r.finished}) for some in by_step.values())
+    return len(by_step), min(pairs), max(by_step)

@@ -3,24 +3,26 @@
 A *pair* is one held-out (initial state, camera pose). Rollouts of several seeds or checkpoints on
 the same pair are not independent, so every interval resamples pairs, never single rollouts. It
 therefore speaks about new pairs of the same kind, not about seeds that were never trained. All
-functions take evaluation rows (one dict a rollout) and are deterministic.
+functions are deterministic.
 """
 
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
+import scipy.stats
 
-Row = Mapping[str, Any]
+from jaxcam.results.rows import Row
 
-USUAL: dict[str, Any] = {"engine": "native", "ensemble": 0.0}
-"""What rows lack that were written before there was a choice."""
 LEVEL = 0.95
-_Z = 1.959963984540054  # normal quantile of the two-sided 95 % interval
-_RESAMPLES = 10_000
-_EXACT_FLIPS = 12  # up to 2^12 sign patterns are enumerated instead of sampled
-_BLOCK = 4_000_000  # drawn indices held in memory at once
+"""Of every interval."""
+_Z = float(scipy.stats.norm.ppf((1 + LEVEL) / 2))
+RESAMPLES = 10_000
+"""Resamples of an interval or a test: ends of intervals move by about 0.1 points between seeds."""
+_EXACT_FLIPS = 12  # pairs up to which all sign patterns are enumerated, not sampled
+_BLOCK = 2_000_000  # drawn indices held in memory at once
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Difference:
+class PairedDifference:
     """Success of arm A minus success of arm B on the pairs both were evaluated on, as a fraction.
 
     Attributes:
@@ -84,6 +86,9 @@ class Difference:
 
 def wilson(successes: float, n: int) -> tuple[float, float]:
     """Wilson's 95 % interval of a share, for independent rollouts.
+
+    As `scipy.stats.binomtest` has it, but a count may have a fraction: rollouts of several seeds on
+    one camera are one trial with their mean outcome.
 
     Args:
         successes: How many succeeded, 0 to n.
@@ -125,7 +130,7 @@ def success_rate(rows: Iterable[Row]) -> Estimate:
     return Estimate(float(sums.sum() / total), low, high, total, len(groups), excluded)
 
 
-def paired_difference(rows_a: Iterable[Row], rows_b: Iterable[Row]) -> Difference:
+def paired_difference(rows_a: Iterable[Row], rows_b: Iterable[Row]) -> PairedDifference:
     """Compare two arms on the pairs they share.
 
     Seeds are averaged inside each pair first, so that several seeds an arm do not count as more
@@ -144,13 +149,15 @@ def paired_difference(rows_a: Iterable[Row], rows_b: Iterable[Row]) -> Differenc
     unpaired = len(groups_a.keys() ^ groups_b.keys())
     excluded = excluded_a + excluded_b
     if not shared:
-        return Difference(float("nan"), -1.0, 1.0, 1.0, 0, unpaired, excluded)
+        return PairedDifference(float("nan"), -1.0, 1.0, 1.0, 0, unpaired, excluded)
     deltas = np.array([np.mean(groups_a[pair]) - np.mean(groups_b[pair]) for pair in shared])
     # Pairs that were not drawn may differ as much as any that was; where none differs, by all.
-    seen = (deltas.min(), deltas.max()) if np.ptp(deltas) else (-1.0, 1.0)
-    low, high = _bootstrap(deltas, np.ones_like(deltas), *seen)
+    least, most = (deltas.min(), deltas.max()) if np.ptp(deltas) else (-1.0, 1.0)
+    low, high = _bootstrap(deltas, np.ones_like(deltas), least, most)
     p_value = _sign_flip_p(deltas)
-    return Difference(float(deltas.mean()), low, high, p_value, len(shared), unpaired, excluded)
+    return PairedDifference(
+        float(deltas.mean()), low, high, p_value, len(shared), unpaired, excluded
+    )
 
 
 def latest_rows(rows: Iterable[Row]) -> list[Row]:
@@ -165,21 +172,18 @@ def latest_rows(rows: Iterable[Row]) -> list[Row]:
     Returns:
         One row for each (task, scene, run, policy, conditioning, seed, step, split, pair).
     """
-    names = ("task", "scene", "run", "policy", "conditioning", "seed", "step", "split")
-    ways: dict[tuple[Any, ...], tuple[Any, ...]] = {}
-    latest: dict[tuple[Any, ...], dict[Any, Row]] = {}
+    evaluation_of = attrgetter(
+        "task", "scene", "run", "policy", "conditioning", "seed", "step", "split"
+    )
+    way_of = attrgetter("width", "engine", "ensemble")
+    ways: dict[Hashable, Hashable] = {}
+    latest: dict[Hashable, dict[int, Row]] = {}
     for row in rows:
-        evaluation = tuple(row.get(name) for name in names)
-        way = row.get("width"), *(row.get(name, value) for name, value in USUAL.items())
+        evaluation, way = evaluation_of(row), way_of(row)
         if ways.get(evaluation) != way:
             ways[evaluation], latest[evaluation] = way, {}
-        latest[evaluation][row.get("pair")] = row
+        latest[evaluation][row.pair] = row
     return [row for pairs in latest.values() for row in pairs.values()]
-
-
-def is_finished(row: Row) -> bool:
-    """Whether the rollout of this row ran to its end and has an outcome."""
-    return row.get("status") == "ok" and row.get("success") is not None
 
 
 def by_field(rows: Sequence[Row], name: str) -> dict[Any, list[Row]]:
@@ -194,7 +198,7 @@ def by_field(rows: Sequence[Row], name: str) -> dict[Any, list[Row]]:
     """
     groups: dict[Any, list[Row]] = {}
     for row in rows:
-        groups.setdefault(row.get(name), []).append(row)
+        groups.setdefault(getattr(row, name), []).append(row)
     return groups
 
 
@@ -203,12 +207,12 @@ def _by_pair(rows: Iterable[Row]) -> tuple[dict[Hashable, list[float]], int]:
     groups: dict[Hashable, list[float]] = {}
     excluded = 0
     for row in rows:
-        if not is_finished(row):
+        if not row.finished:
             excluded += 1
             continue
         # Pair 3 of one task is not pair 3 of another.
-        key = (row.get("task"), row.get("scene"), row.get("split"), row["pair"])
-        groups.setdefault(key, []).append(float(row["success"]))
+        key = (row.task, row.scene, row.split, row.pair)
+        groups.setdefault(key, []).append(float(row.success or 0))
     return groups, excluded
 
 
@@ -219,36 +223,56 @@ def _bootstrap(
 
     It allows for clusters of the values `least` and `most` that exist and have not been drawn.
     """
-    count = len(sums)
-    value = float(sums.sum() / sizes.sum())
-    rng = np.random.default_rng(0)
-    block = max(_BLOCK // count, 1)
-    estimates: list[np.ndarray] = []
-    for start in range(0, _RESAMPLES, block):
-        drawn = rng.integers(0, count, (min(block, _RESAMPLES - start), count), dtype=np.int32)
-        estimates.append(sums[drawn].sum(1) / sizes[drawn].sum(1))
-    tail = (1 - LEVEL) / 2
-    low, high = np.quantile(np.concatenate(estimates), [tail, 1 - tail])
+    count, value = len(sums), float(sums.sum() / sizes.sum())
+    low = high = value
+    if count > 1:
+        drawn = scipy.stats.bootstrap(
+            (sums, sizes), _pooled, paired=True, vectorized=True, method="percentile",
+            n_resamples=RESAMPLES, confidence_level=LEVEL, batch=_batch(count),
+            rng=np.random.default_rng(0),
+        )  # fmt: skip
+        low, high = map(float, drawn.confidence_interval)
     missed = wilson(0, count)[1]  # share of clusters that may exist and never have been drawn
     worst, best = value - missed * (value - least), value + missed * (most - value)
-    return min(float(low), worst), max(float(high), best)
+    return min(low, worst), max(high, best)
+
+
+def _pooled(sums: np.ndarray, sizes: np.ndarray, axis: int) -> np.ndarray:
+    return sums.sum(axis) / sizes.sum(axis)
 
 
 def _sign_flip_p(deltas: np.ndarray) -> float:
     """Two-sided p-value of a zero mean under random signs of the differences."""
     moving = deltas[deltas != 0]  # a zero difference is the same under both signs
-    observed = abs(moving.sum()) - 1e-9  # ties must count as ties in floating point
-    if len(moving) <= _EXACT_FLIPS:
-        patterns = np.arange(2 ** len(moving))[:, None] >> np.arange(len(moving)) & 1
-        return float(np.mean(np.abs((1 - 2 * patterns) @ moving) >= observed))
+    if len(moving) < 2:
+        return 1.0  # one difference is as large under both signs
     rng = np.random.default_rng(0)
-    block = max(_BLOCK // len(moving), 1)
-    as_large = 0
-    for start in range(0, _RESAMPLES, block):
-        shape = (min(block, _RESAMPLES - start), len(moving))
-        signs = 1 - 2 * rng.integers(0, 2, shape, dtype=np.int8)
-        as_large += int(np.sum(np.abs(signs @ moving) >= observed))
-    return (1 + as_large) / (1 + _RESAMPLES)
+    if len(moving) <= _EXACT_FLIPS:
+        patterns = scipy.stats.permutation_test(
+            (moving,),
+            _total,
+            permutation_type="samples",
+            vectorized=True,
+            n_resamples=2**_EXACT_FLIPS,
+        )
+        return float(patterns.pvalue)
+
+    def flipped(size: tuple[int, ...]) -> np.ndarray:
+        return moving * (1 - 2 * rng.integers(0, 2, size, dtype=np.int8))
+
+    drawn = scipy.stats.monte_carlo_test(
+        moving, flipped, _total, vectorized=True, n_resamples=RESAMPLES, batch=_batch(len(moving))
+    )
+    return float(drawn.pvalue)
+
+
+def _total(deltas: np.ndarray, axis: int) -> np.ndarray:
+    return np.round(deltas.sum(axis), 9)  # ties must count as ties in floating point
+
+
+def _batch(count: int) -> int:
+    """Resamples of so many clusters that are held in memory at once."""
+    return min(max(_BLOCK // count, 1), RESAMPLES)
 
 
 def p_text(p_value: float) -> str:

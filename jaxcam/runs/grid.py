@@ -32,8 +32,10 @@ from jaxcam.files.jsonl import read_jsonl
 from jaxcam.files.paths import home
 from jaxcam.reports.arms import changes, identity, plain
 from jaxcam.results.protocol import missing, protocol_of
-from jaxcam.results.stats import USUAL, Estimate, latest_rows, success_rate
+from jaxcam.results.rows import Row
+from jaxcam.results.stats import Estimate, latest_rows, success_rate
 from jaxcam.runs.identity import resolve
+from jaxcam.runs.rollouts import read_rows, rows_file
 
 PYTHON = (sys.executable, "-m")
 """How a command of jaxcam is started."""
@@ -170,11 +172,14 @@ def progress_of(run: Planned) -> Progress:
     """How far a run is, from its folder."""
     metrics = read_jsonl(run.folder / "metrics.jsonl")
     step = int(max((row.get("step", 0) for row in metrics), default=0))
-    every = [r for r in read_jsonl(run.folder / "eval" / "rows.jsonl") if r["split"] == "test"]
-    rows = [r for r in every if r["step"] in run.steps and r["pair"] < run.pairs]
+    rows = [
+        row
+        for row in read_rows(rows_file(run.folder))
+        if row.split == "test" and row.step in run.steps and row.pair < run.pairs
+    ]
     asked = len(run.steps) * run.pairs
-    left = sum(len(missing([r for r in rows if r["step"] == s], run.pairs)) for s in run.steps)
-    return Progress(step, asked - left, asked, success_rate(latest_rows(rows)))
+    to_run = sum(len(missing([r for r in rows if r.step == s], run.pairs)) for s in run.steps)
+    return Progress(step, asked - to_run, asked, success_rate(latest_rows(rows)))
 
 
 def _plan(where: str, runs_dir: Path, given: dict[str, Any], protocol: str) -> Planned:
@@ -189,7 +194,7 @@ def _plan(where: str, runs_dir: Path, given: dict[str, Any], protocol: str) -> P
         config = resolve(TrainConfig(**given), accelerator=False)
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from error
-    settings = identity(config) | {"engine": USUAL["engine"]}  # it trains nothing else
+    settings = identity(config) | {"engine": Row.engine}  # it trains nothing else
     parts = [settings[name] for name in ("task", "scene", "policy", "preset", "conditioning")]
     parts += [f"{k}{plain(v)}" for k, v in changes(settings).items()]
     name = re.sub(r"[^A-Za-z0-9.=+-]+", "_", "-".join([*parts, str(config.seed)]))

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from jaxcam.files.video import grid, write_video
+from jaxcam.results.rows import Row
 
 RED, GREEN, BLUE = (200, 30, 30), (30, 180, 60), (20, 40, 210)
 
@@ -59,7 +60,7 @@ def test_what_is_not_a_video_is_refused_and_leaves_the_old_file(tmp_path, frames
 
 def row(pair, success, **fields):
     angles = {"azimuth_deg": -31.4, "elevation_deg": 44.6}
-    return {"pair": pair, "success": success, "status": "ok", **angles, **fields}
+    return Row(pair=pair, success=success, status="ok", **{**angles, **fields})
 
 
 def test_short_clips_stand_still_and_show_their_outcome():

@@ -18,10 +18,19 @@ from jaxcam.errors import ConfigError
 from jaxcam.reports import paper
 from jaxcam.reports.arms import group, read_runs
 from jaxcam.reports.comparison import write_comparison
-from jaxcam.reports.document import Document, Link, Table, Text, to_latex, to_markdown
+from jaxcam.reports.document import (
+    Document,
+    Heading,
+    Link,
+    Table,
+    Text,
+    to_html,
+    to_latex,
+    to_markdown,
+)
 from jaxcam.reports.studies import STUDIES, panels
 from jaxcam.reports.study_figures import COLOURS, bars, curves
-from jaxcam.reports.tables import gains, table_one
+from jaxcam.reports.tables import gains_table, paper_value, table_one
 from jaxcam.results.stats import paired_difference
 from jaxcam.runs.identity import resolve
 
@@ -93,9 +102,20 @@ def test_table_one_has_the_papers_numbers_beside_ours(runs):
     assert max(gain) == pytest.approx(34.8)
 
 
+def test_runs_whose_demonstrations_see_all_cameras_are_no_line_of_table_one(runs):
+    make_run(runs / "all", rate=0.5, conditioning="late", n=30, m=0)
+    arms = arms_of(runs)
+    assert len(arms) == 3
+    table = table_one(arms)
+    assert sum("ours" in row[1] for row in table.rows) == 2
+    assert not any(row[2].startswith("50.0") for row in table.rows)
+    (arm,) = [arm for arm in arms if arm.settings["m"] == 0]
+    assert paper_value(arm) is None
+
+
 def test_gains_are_paired(runs):
     none, late = sorted(arms_of(runs), key=lambda a: a.settings["conditioning"] != "none")
-    (row,) = gains([late, none]).rows
+    (row,) = gains_table([late, none]).rows
     delta = paired_difference(late.rows, none.rows)
     assert row[:5] == ["ACT", "Lift", "late", "laptop preset", "+27.0"]
     assert row[5].startswith(f"{100 * delta.value:+.1f} [")
@@ -107,7 +127,7 @@ def test_arms_are_compared_only_where_nothing_else_differs(tmp_path):
     make_run(tmp_path / "b", conditioning="late", steps=2000)
     arms = arms_of(tmp_path)
     assert len(arms) == 2
-    assert gains(arms) is None
+    assert gains_table(arms) is None
     assert {arm.label() for arm in arms} == {"laptop preset", "laptop preset, steps 2000"}
     assert all("+" not in row[2] for row in table_one(arms).rows if "ours" in row[1])
 
@@ -126,8 +146,8 @@ def test_a_whole_protocol_counts_and_anything_less_is_told(tmp_path):
 def test_the_newest_checkpoints_count_with_the_protocols_pairs(tmp_path):
     make_run(tmp_path / "a", checkpoints=12, pairs=60, save_every=100)
     (arm,) = arms_of(tmp_path)
-    assert sorted({row["step"] for row in arm.rows}) == [*range(3100, 4001, 100)]
-    assert max(row["pair"] for row in arm.rows) == 49
+    assert sorted({row.step for row in arm.rows}) == [*range(3100, 4001, 100)]
+    assert max(row.pair for row in arm.rows) == 49
 
 
 def test_a_report_is_whole(runs, tmp_path):
@@ -177,7 +197,7 @@ def test_rows_alone_are_shown_as_far_as_they_tell(runs, tmp_path):
     (folder / "rows.jsonl").write_text("".join(lines))
     arms = arms_of(folder)
     assert {arm.label() for arm in arms} == {"settings not recorded"}
-    assert gains(arms).rows[0][5].startswith("+50.0")
+    assert gains_table(arms).rows[0][5].startswith("+50.0")
     write_comparison(read_runs([folder]), tmp_path / "out")
 
 
@@ -245,7 +265,7 @@ def test_early_fusion_with_a_new_stem_is_compared_with_the_others(tmp_path):
     weights = {"weights": "w/resnet18.pth"}
     make_run(tmp_path / "a", conditioning="none", **weights)
     make_run(tmp_path / "b", conditioning="early", stem="new", **weights)
-    assert len(gains(arms_of(tmp_path)).rows) == 1
+    assert len(gains_table(arms_of(tmp_path)).rows) == 1
 
 
 def test_documents_escape_what_the_formats_read():
@@ -258,6 +278,18 @@ def test_documents_escape_what_the_formats_read():
     assert r"\shortstack[l]{1 \\ {[}2]}" in latex
     assert r"\textbf{a\_b}" in latex
     assert latex.count("{") == latex.count("}")
+
+
+def test_html_escapes_what_documents_say(tmp_path):
+    table = Table("a <i>", ("<b>",), [["<script>"], [Link('"><u>', 'x y"#.mp4')]])
+    blocks = [Heading("&amp; <h1>"), Text("<s>", warns=True), table]
+    path = tmp_path / "page.html"
+    path.write_text(to_html(Document("<title>", "'", blocks), tmp_path))
+    page = Page(path)
+    assert not {"script", "u", "i", "b", "s"} & {tag for tag, _ in page.tags}
+    for words in ("a <i>", "<script>", '"><u>', "&amp; <h1>", "<title>"):
+        assert words in page.text
+    assert page.attributes("a", "href") == ["x%20y%22%23.mp4"]
 
 
 def test_nothing_evaluated_yet(tmp_path):

@@ -6,6 +6,7 @@ import re
 import shlex
 import subprocess
 import sys
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -18,24 +19,19 @@ from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.reports import run_figures as plots
 from jaxcam.reports.run_page import reproduce_command, write_report
+from jaxcam.results.rows import Row
 from jaxcam.runs.identity import resolve
 
 
 def evaluation(outcomes, **fields):
     """One row a pair, the cameras spread over the sphere patch."""
     angles = np.random.default_rng(0).uniform((-90, 30), (90, 60), (len(outcomes), 2))
-    common = {"task": "lift", "seed": 0, "step": 6000, "status": "ok", "steps": 80, "distance": 1.0}
+    common = {"task": "lift", "seed": 0, "step": 6000, "steps": 80, "distance": 1.0}
     return [
-        {
-            **common,
-            "pair": i,
-            "success": bool(won),
-            "azimuth_deg": az,
-            "elevation_deg": el,
-            **fields,
-        }
-        for i, (won, (az, el)) in enumerate(zip(outcomes, angles, strict=True))
-    ]
+        Row(pair=i, status="ok", success=bool(won), azimuth_deg=az, elevation_deg=el,
+            **{**common, **fields})
+        for i, (won, (az, el)) in enumerate(zip(outcomes, angles.tolist(), strict=True))
+    ]  # fmt: skip
 
 
 def training(steps=6000):
@@ -50,7 +46,8 @@ def texts(axes):
 
 def write_lines(path, rows):
     path.parent.mkdir(exist_ok=True)
-    path.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    lines = (row.to_json() if isinstance(row, Row) else row for row in rows)
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
 
 
 @pytest.fixture
@@ -95,7 +92,7 @@ def test_summary_says_what_was_measured(run):
 
 def test_unfinished_rollouts_are_announced_until_they_are_run_again(run):
     rows = evaluation([1] * 20 + [0] * 30)
-    failed = [{**row, "status": "error", "success": None} for row in rows[:3]]
+    failed = [replace(row, status="error", success=None) for row in rows[:3]]
     write_lines(run / "eval" / "rows.jsonl", [*failed, *rows[3:]])
     text = Page(write_report(run)).text
     assert "3 rollouts did not finish" in text
@@ -156,11 +153,18 @@ def test_reproduce_command_gives_the_same_settings(accelerator):
     assert again == config
 
 
+@pytest.mark.parametrize("accelerator", [False, True])
+def test_reproduce_command_leaves_out_what_the_machine_decides(accelerator):
+    config = resolve(TrainConfig(preset="paper"), accelerator=accelerator)
+    assert (config.steps_per_call > 1) == accelerator
+    assert "--steps-per-call" not in reproduce_command(config)
+
+
 def test_success_map_counts_cameras_in_bins():
     rows = evaluation([1, 0] * 25)
     figure = plots.success_map([*rows, *evaluation([1] * 50, seed=1)])
     _main, top, side = figure.axes[:3]
-    azimuth = np.array([row["azimuth_deg"] for row in rows])
+    azimuth = np.array([row.azimuth_deg for row in rows])
     counts, _ = np.histogram(azimuth, np.arange(-90, 91, 30))
     assert texts(top) == [f"n = {n}" for n in counts if n]  # two seeds, still one camera each
     assert sum(int(t.removeprefix("n = ")) for t in texts(side)) == 50
@@ -168,26 +172,16 @@ def test_success_map_counts_cameras_in_bins():
 
 def test_success_map_leaves_out_unfinished_rollouts():
     rows = evaluation([1, 0] * 25)
-    for row in rows[:20]:
-        row["status"] = "error"
+    rows = [replace(row, status="error") for row in rows[:20]] + rows[20:]
     top = plots.success_map(rows).axes[1]
     assert sum(int(t.removeprefix("n = ")) for t in texts(top)) == 30
 
 
 def test_smoothed_rate_follows_the_outcomes():
-    rows = evaluation([0] * 50)
-    for row in rows:
-        row["success"] = row["azimuth_deg"] > 0
+    rows = [replace(row, success=row.azimuth_deg > 0) for row in evaluation([0] * 50)]
     field = plots.success_map(rows).axes[0].images[0].get_array()
     assert field[:, 10].max() < 0.2
     assert field[:, -10].min() > 0.8
-
-
-def test_comparison_shows_rates_and_paired_differences():
-    arms = {"rays": evaluation([1] * 30 + [0] * 20), "none": evaluation([0] * 45 + [1] * 5)}
-    left, right = plots.comparison(arms, baseline="none").axes
-    assert texts(left) == ["60.0 %  n = 50", "10.0 %  n = 50"]
-    assert texts(right) == ["+50.0  p < 0.001  50 pairs", "baseline"]
 
 
 def test_curves_show_what_was_logged(tmp_path):
@@ -227,7 +221,8 @@ def test_ray_picture_shows_directions_as_colours(tmp_path):
 def test_figures_need_no_pyplot_and_change_no_settings():
     code = (
         "import sys, matplotlib as mpl; before = mpl.rcParams.copy()\n"
-        "from jaxcam.reports import run_figures as plots; plots.loss_curves([{'step': 1, 'loss': 1.0}])\n"
+        "from jaxcam.reports import run_figures as plots\n"
+        "plots.loss_curves([{'step': 1, 'loss': 1.0}])\n"
         "assert 'matplotlib.pyplot' not in sys.modules\n"
         "assert mpl.rcParams.copy() == before\n"
     )

@@ -1,16 +1,27 @@
 """Statistics: hand-computed cases, interval coverage by simulation, null and power of the test."""
 
+import functools
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import scipy.stats
 
 from jaxcam.results import stats
+from jaxcam.results.rows import Row
 from jaxcam.results.stats import Estimate, latest_rows, paired_difference, success_rate, wilson
+
+
+@functools.cache
+def row_of(pair, seed, success, **fields):
+    """Simulations ask for the same rows hundreds of times."""
+    return Row(pair=pair, seed=seed, success=success, status="ok", **fields)
 
 
 def rows_of(outcomes, **fields):
     """Finished rows; outcomes[pair, seed]."""
     return [
-        {"pair": pair, "seed": seed, "success": bool(value), "status": "ok", **fields}
+        row_of(pair, seed, bool(value), **fields)
         for pair, of_pair in enumerate(np.atleast_2d(outcomes))
         for seed, value in enumerate(of_pair)
     ]
@@ -24,7 +35,7 @@ def column(outcomes, **fields):
 @pytest.fixture
 def few_resamples(monkeypatch):
     """Enough for a simulation over hundreds of data sets."""
-    monkeypatch.setattr(stats, "_RESAMPLES", 400)
+    monkeypatch.setattr(stats, "RESAMPLES", 400)
 
 
 def test_wilson_against_hand_computed_values():
@@ -32,6 +43,36 @@ def test_wilson_against_hand_computed_values():
     assert wilson(0, 10) == pytest.approx((0.0, 0.27753), abs=1e-5)
     assert wilson(10, 10) == pytest.approx((0.72247, 1.0), abs=1e-5)
     assert wilson(0, 0) == (0.0, 1.0)
+
+
+@pytest.mark.parametrize(("successes", "n"), [(0, 7), (3, 7), (199, 200)])
+def test_wilson_is_scipys_for_whole_counts_and_lies_between_for_others(successes, n):
+    known = scipy.stats.binomtest(successes, n).proportion_ci(method="wilson")
+    assert wilson(successes, n) == pytest.approx((known.low, known.high))
+    assert wilson(successes, n) < wilson(successes + 0.5, n) < wilson(successes + 1, n)
+
+
+def test_numbers_are_the_same_from_run_to_run():
+    rng = np.random.default_rng(2)
+    a, b = (rows_of(rng.random((40, 3)) < p) for p in (0.4, 0.6))
+    assert success_rate(a) == success_rate(list(a))
+    assert paired_difference(a, b) == paired_difference(list(a), list(b))
+
+
+def test_p_values_that_are_sampled_are_those_of_all_patterns():
+    """Thirteen differences are one more than are enumerated."""
+    deltas = np.array([1, 1, 1, 1, 1, 1, 1, 1, 1, 1, -1, -1, -1])
+    a, b = column(deltas > 0), column(deltas < 0)
+    exact = scipy.stats.binomtest(3, 13).pvalue
+    assert paired_difference(a, b).p_value == pytest.approx(exact, abs=0.01)
+    assert paired_difference(a[1:], b[1:]).p_value == scipy.stats.binomtest(3, 12).pvalue
+
+
+def test_a_single_pair_says_next_to_nothing():
+    estimate = success_rate(rows_of([[1, 1, 1, 0]]))
+    assert (estimate.value, estimate.clusters) == (0.75, 1)
+    assert estimate.high == pytest.approx(0.75 + 0.25 * wilson(0, 1)[1])
+    assert paired_difference(column([1]), column([0])).p_value == 1.0
 
 
 @pytest.mark.parametrize(("successes", "n"), [(-1, 5), (6, 5), (0, -1)])
@@ -63,7 +104,7 @@ def test_repeating_a_rollout_does_not_narrow_the_interval():
 
 
 def test_unequal_clusters_pool_the_rollouts():
-    rows = rows_of([[1, 1, 1]]) + [{**row, "pair": 1} for row in rows_of([[0]])]
+    rows = rows_of([[1, 1, 1]]) + [replace(row, pair=1) for row in rows_of([[0]])]
     assert success_rate(rows).value == 0.75
 
 
@@ -81,8 +122,8 @@ def test_one_success_is_no_surer_than_none():
 
 def test_errors_are_excluded_and_counted():
     rows = column([1, 0, 1, 0])
-    rows[0]["status"] = "error"
-    rows[1]["success"] = None
+    rows[0] = replace(rows[0], status="error")
+    rows[1] = replace(rows[1], success=None)
     estimate = success_rate(rows)
     assert (estimate.value, estimate.n, estimate.excluded) == (0.5, 2, 2)
     difference = paired_difference(rows, column([0, 0, 0, 0]))
@@ -91,7 +132,7 @@ def test_errors_are_excluded_and_counted():
 
 
 def test_nothing_finished_is_not_a_rate():
-    estimate = success_rate([{"pair": 0, "status": "error"}])
+    estimate = success_rate([Row(pair=0, status="error")])
     assert np.isnan(estimate.value)
     assert (estimate.low, estimate.high) == (0.0, 1.0)
     assert str(estimate) == "no finished rollouts (n = 0, 1 excluded)"
@@ -104,9 +145,9 @@ def test_same_pair_number_in_two_tasks_is_two_clusters():
 
 
 def test_a_rerun_replaces_the_failed_attempt():
-    failed = {"pair": 0, "seed": 0, "step": 10, "status": "error"}
-    again = {**failed, "status": "ok", "success": True}
-    later = {**again, "step": 20}
+    failed = Row(pair=0, seed=0, step=10, status="error")
+    again = replace(failed, status="ok", success=True)
+    later = replace(again, step=20)
     assert latest_rows([failed, again, later]) == [again, later]
 
 
@@ -161,16 +202,16 @@ def test_interval_covers_the_truth(seeds):
 def test_difference_interval_covers_the_truth_and_is_no_wider_than_it_must(rollouts, gain):
     rng = np.random.default_rng(3)
     truth = gain * (1 - 0.4)
-    found = []
+    differences = []
     for _ in range(400):
         difficulty = rng.beta(0.8, 1.2, (50, 1))
         b = rng.random((50, rollouts)) < difficulty
         a = rng.random((50, rollouts)) < difficulty + gain * (1 - difficulty)
-        found.append(paired_difference(rows_of(a), rows_of(b)))
-    covered = np.mean([d.low - 1e-9 <= truth <= d.high + 1e-9 for d in found])
+        differences.append(paired_difference(rows_of(a), rows_of(b)))
+    covered = np.mean([d.low - 1e-9 <= truth <= d.high + 1e-9 for d in differences])
     assert 0.91 <= covered <= 0.985
-    width = np.mean([d.high - d.low for d in found])
-    spread = np.std([d.value for d in found])
+    width = np.mean([d.high - d.low for d in differences])
+    spread = np.std([d.value for d in differences])
     assert width == pytest.approx(2 * 1.96 * spread, rel=0.15)
 
 

@@ -1,0 +1,143 @@
+"""A row: what is kept of one rollout, and the only place that reads and writes its JSON."""
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import MISSING, dataclass, fields
+from typing import Any, Literal, Self, get_args
+
+from jaxcam.errors import DatasetError
+
+Status = Literal["ok", "error"]
+"""Whether a rollout ran to its end, or physics or policy failed on the way."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One rollout of a policy on one pair of an initial state and a camera pose.
+
+    Rows of older versions lack fields; they have the defaults here, where None is "not known".
+
+    Attributes:
+        task: Name of the task.
+        scene: "fixed" or "randomized".
+        run: Name of the run's folder.
+        policy: Kind of policy, such as "act".
+        conditioning: How the policy is given its camera.
+        seed: Of the training.
+        step: Updates of the checkpoint.
+        split: Which pairs: "test" or "validation".
+        pair: Number of the pair.
+        pair_sha: Digest of the pair: runs are compared on the same ones only.
+        success: The outcome; None if there is none.
+        status: Whether the rollout ran to its end.
+        steps: Control steps to success, or until the episode was cut.
+        azimuth_deg: Of the first camera about the middle of the task, in degrees.
+        elevation_deg: Of the first camera, in degrees.
+        distance: Of the first camera, in metres.
+        camera: World-from-camera matrices [views, 4, 4], OpenCV axes.
+        renderer: What drew the pictures.
+        engine: What stepped the physics.
+        ensemble: Rate of temporal ensembling; 0 is off.
+        width: Rollouts simulated at once; it may change a result's last digits.
+        episode_seed: Of the initial state.
+    """
+
+    task: str | None = None
+    scene: str | None = None
+    run: str | None = None
+    policy: str | None = None
+    conditioning: str | None = None
+    seed: int | None = None
+    step: int = 0
+    split: str = "test"
+    pair: int
+    pair_sha: str | None = None
+    success: bool | None = None
+    status: Status
+    steps: int | None = None
+    azimuth_deg: float | None = None
+    elevation_deg: float | None = None
+    distance: float | None = None
+    camera: list[Any] | None = None
+    renderer: str | None = None
+    engine: str = "native"
+    ensemble: float = 0.0
+    width: int | None = None
+    episode_seed: int | None = None
+
+    @property
+    def finished(self) -> bool:
+        """Whether the rollout ran to its end and has an outcome."""
+        return self.status == "ok" and self.success is not None
+
+    @classmethod
+    def from_json(cls, content: Any, where: str = "A row") -> Self:
+        """The row that was written as these names and values.
+
+        Names that this version does not know are left out: files of rows are only appended to, so
+        what a newer version wrote stays on disk.
+
+        Args:
+            content: A line of JSON, parsed.
+            where: Begins the message of an error, for example "rows.jsonl, line 3".
+
+        Raises:
+            DatasetError: It has no names, a required field is missing, or a value is not of its
+                field's kind.
+        """
+        if not isinstance(content, Mapping):
+            raise DatasetError(f"{where}: expected the fields of a rollout, got {content!r}.")
+        values = {}
+        for name, (expected, fits, required) in _FIELDS.items():
+            if name in content:
+                value = content[name]
+                if not fits(value):
+                    raise DatasetError(f"{where}: {name} is {value!r}, expected {expected}.")
+                values[name] = value
+            elif required:
+                raise DatasetError(f"{where}: {name} is missing, expected {expected}.")
+        return cls(**values)
+
+    def to_json(self, only: Iterable[str] | None = None) -> dict[str, Any]:
+        """Names and values as they are written, without what is not known.
+
+        Args:
+            only: Fields to write; all when None.
+        """
+        names = _FIELDS if only is None else only
+        values = ((name, getattr(self, name)) for name in names)
+        return {name: value for name, value in values if value is not None}
+
+
+def _is_count(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+_KINDS: dict[Any, tuple[str, Callable[[Any], bool]]] = {
+    str: ("text", lambda value: isinstance(value, str)),
+    int: ("a whole number, 0 or more", _is_count),
+    float: ("a finite number", _is_number),
+    bool: ("true or false", lambda value: isinstance(value, bool)),
+    list[Any]: ("a list", lambda value: isinstance(value, list)),
+    Status: (" or ".join(get_args(Status)), lambda value: value in get_args(Status)),
+}
+"""What a field holds: in words, and whether a value is such."""
+
+
+def _kind(annotation: Any) -> tuple[str, Callable[[Any], bool]]:
+    """What a field of this type holds; where it may be None, so may the value."""
+    if annotation in _KINDS:
+        return _KINDS[annotation]
+    (kind,) = (some for some in get_args(annotation) if some is not type(None))
+    expected, fits = _KINDS[kind]
+    return f"{expected}, or null", lambda value: value is None or fits(value)
+
+
+_FIELDS = {field.name: (*_kind(field.type), field.default is MISSING) for field in fields(Row)}
+"""Each field's kind and whether a row must have it, in the order in which they are written."""
+USUAL_WAY: dict[str, Any] = {"engine": Row.engine, "ensemble": Row.ensemble}
+"""The fields that say how a policy was run, and how it is where nothing else is asked for."""

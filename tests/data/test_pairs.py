@@ -1,0 +1,35 @@
+"""Pairs of initial state and camera pose follow from their number, and are compared."""
+
+import numpy as np
+import pytest
+
+from jaxcam.data.pairs import make_pairs, store_pairs
+from jaxcam.errors import DatasetError
+
+
+def test_pairs_follow_from_their_number_and_are_recognised(lift, scene, scenes):
+    some = make_pairs(lift, scene, 1, "test", [0, 1, 2])
+    again = make_pairs(lift, scene, 1, "test", [2, 0])
+    assert again.digests() == [some.digests()[2], some.digests()[0]]
+    assert len(set(some.digests())) == 3
+    assert make_pairs(lift, scene, 1, "validation", [0]).digests()[0] not in some.digests()
+    assert make_pairs(lift, scenes["fixed"], 1, "test", [0]).digests()[0] not in some.digests()
+    both = make_pairs(lift, scene, 2, "test", [1])  # pair p of two views has cameras 2p and 2p + 1
+    assert np.array_equal(both.cameras[0, 0], some.cameras[2, 0])
+    moved = some._replace(start=some.start._replace(qpos=some.start.qpos + 2e-6))
+    assert not set(moved.digests()) & set(some.digests())
+
+
+def test_stored_pairs_are_compared_and_grow(lift, scene, tmp_path):
+    file = tmp_path / "pairs-test.json"
+    some = make_pairs(lift, scene, 1, "test", [0, 1, 2])
+    store_pairs(file, make_pairs(lift, scene, 1, "test", [0]))
+    store_pairs(file, some)
+    before = file.read_text()
+    assert before.count('"sha"') == 3
+    store_pairs(file, make_pairs(lift, scene, 1, "test", [0, 1]))
+    assert file.read_text() == before
+    cameras = some.cameras.copy()
+    cameras[1, 0, 0, 3] += 0.01
+    with pytest.raises(DatasetError, match="pair 1 was"):
+        store_pairs(file, some._replace(cameras=cameras))

@@ -1,0 +1,105 @@
+"""The evaluator itself, on Lift: what its rows say, what its videos and pictures show."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxcam.config.train import TrainConfig
+from jaxcam.data.pairs import make_pairs
+from jaxcam.evaluation.evaluator import VIDEO_PIXELS, Candidate, Evaluator
+from jaxcam.models import Policy, PolicySpec
+from jaxcam.results.rows import Row
+from jaxcam.runs.identity import resolve
+from jaxcam.sim.rollout import Rollouts
+
+PIXELS, CHUNK, HORIZON, WIDTH = 24, 3, 5, 3
+
+
+@pytest.fixture(scope="module")
+def evaluator():
+    """Of episodes of five steps."""
+    config = resolve(TrainConfig(resolution=PIXELS, seed=4), accelerator=False)
+    evaluator = Evaluator(config, WIDTH, "native")
+    evaluator.task.horizon = HORIZON  # pyright: ignore
+    return evaluator
+
+
+@pytest.fixture
+def candidate(tmp_path):
+    """A policy that moves as its one parameter says."""
+    spec = PolicySpec(7, 9, views=1, height=PIXELS, width=PIXELS, chunk=CHUNK)
+
+    def act(params, obs, key):
+        return jnp.zeros((len(obs["image"]), CHUNK, 7)) + params["move"]
+
+    policy = Policy(lambda key: {}, lambda *_: (jnp.zeros(()), {}), act, None, spec, CHUNK)
+    return Candidate(policy, {"move": jnp.float32(0.0)}, tmp_path / "a run", 40)
+
+
+def test_a_row_says_what_was_run(evaluator, candidate):
+    ticks = []
+    rows, done = evaluator.run(candidate, "validation", [5, 2], lambda: ticks.append(1))
+    expected = make_pairs(evaluator.task, evaluator.scene, 1, "validation", [5, 2])
+    assert [row.pair for row in rows] == [5, 2]
+    assert [row.pair_sha for row in rows] == expected.digests()
+    assert [row.episode_seed for row in rows] == expected.seeds
+    np.testing.assert_allclose([row.camera for row in rows], expected.cameras, rtol=1e-6)
+    for row, pose in zip(rows, expected.cameras[:, 0], strict=True):
+        away = pose[:3, 3] - np.array(evaluator.task.cameras.centre)
+        distance = np.linalg.norm(away)
+        assert row.distance == pytest.approx(distance, abs=1e-5)
+        assert row.elevation_deg == pytest.approx(np.rad2deg(np.arcsin(away[2] / distance)), 1e-4)
+        assert row.azimuth_deg == pytest.approx(np.rad2deg(np.arctan2(away[1], away[0])), 1e-4)
+    said = Row(
+        task="lift", scene="randomized", run="a run", policy="act", conditioning="keypoints",
+        seed=4, step=40, split="validation", pair=5, success=False, status="ok", steps=HORIZON,
+        renderer=evaluator.scene.look, engine="native", ensemble=0.0, width=WIDTH,
+    )  # fmt: skip
+    measured = ("pair_sha", "camera", "distance", "elevation_deg", "azimuth_deg", "episode_seed")
+    assert replace(rows[0], **dict.fromkeys(measured)) == said
+    assert len(ticks) == HORIZON
+    assert done.qpos.shape[:2] == (HORIZON + 1, WIDTH)
+    assert Row.from_json(rows[0].to_json()) == rows[0]
+
+
+def test_actions_that_are_no_numbers_end_in_an_error(evaluator, candidate):
+    broken = replace(candidate, params={"move": jnp.float32(np.nan)})
+    rows, _ = evaluator.run(broken, "test", [0])
+    assert [(row.status, row.success) for row in rows] == [("error", False)]
+
+
+def test_the_settings_of_an_evaluation_come_before_those_of_the_run(evaluator):
+    config = replace(evaluator.config, ensemble=0.2)
+    assert Evaluator(config, WIDTH, "native").ensemble == 0.2
+    assert Evaluator(config, WIDTH, "native", ensemble=0.0).ensemble == 0.0
+
+
+def test_each_clip_is_seen_by_the_camera_of_its_pair(evaluator):
+    def clips(pairs):
+        qpos = np.asarray(evaluator.pairs("test", pairs).start.qpos)
+        still = np.tile(qpos, (HORIZON + 1, 1, 1))
+        nothing = np.zeros(len(pairs), bool)
+        steps = np.full(len(pairs), HORIZON)
+        return evaluator.clips(Rollouts(nothing, steps, ~nothing, still), "test", pairs)
+
+    both, (alone,) = clips([0, 1]), clips([1])
+    assert both[0].shape == (HORIZON // 2 + 1, VIDEO_PIXELS, VIDEO_PIXELS, 3)
+    np.testing.assert_array_equal(both[1], alone)
+    assert np.mean(np.abs(both[0].astype(int) - both[1])) > 5
+
+
+def test_the_rays_that_are_shown_are_those_that_a_policy_gets(evaluator):
+    picture, rays = evaluator.sight("test", 3)
+    assert picture.shape == (PIXELS, PIXELS, 3)
+    assert np.ptp(picture) > 50
+    pose = evaluator.pairs("test", [3]).cameras[0, 0].astype(np.float64)
+    base_from_camera = np.linalg.inv(evaluator.scene.world_from_base) @ pose
+    focal = PIXELS / 2 / np.tan(np.deg2rad(evaluator.task.fovy_deg) / 2)
+    for row, column in ((0, 0), (7, 20)):
+        ray = np.array([column + 0.5 - PIXELS / 2, row + 0.5 - PIXELS / 2, focal])
+        direction = base_from_camera[:3, :3] @ (ray / np.linalg.norm(ray))
+        moment = np.cross(base_from_camera[:3, 3], direction)
+        np.testing.assert_allclose(rays[row, column], [*direction, *moment], atol=1e-5)
+    assert np.abs(evaluator.scene.world_from_base - np.eye(4)).max() > 0.1  # another frame
