@@ -75,6 +75,11 @@ def joined(distributed: bool) -> Iterator[None]:
     jax.distributed.shutdown()
 
 
+def has_accelerator() -> bool:
+    """Whether JAX computes on a GPU or TPU."""
+    return jax.default_backend() != "cpu"
+
+
 def is_first() -> bool:
     """Whether this process writes files and talks to people."""
     return jax.process_index() == 0

@@ -10,9 +10,10 @@ import time
 from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
+from typing import get_args
 
 from jaxcam.checks.findings import Finding
-from jaxcam.config.presets import NAMES
+from jaxcam.config.names import TaskName
 from jaxcam.errors import SimError
 from jaxcam.sim import make_task
 from jaxcam.sim.maniskill import machine
@@ -114,7 +115,7 @@ def _unwritable(folder: Path) -> str:
 
 def _maniskill() -> Finding:
     """Whether one of its worlds can be made here: that is what other processes will do."""
-    task = next(t for t in map(make_task, NAMES["task"]) if isinstance(t, ManiSkillTask))
+    task = next(t for t in map(make_task, get_args(TaskName)) if isinstance(t, ManiSkillTask))
     try:
         task.require()
         from jaxcam.sim.maniskill.pool import pool_of
@@ -128,5 +129,7 @@ def _maniskill() -> Finding:
 
 def _tasks(maniskill: bool) -> str:
     return ", ".join(
-        name for name in NAMES["task"] if isinstance(make_task(name), ManiSkillTask) is maniskill
+        name
+        for name in get_args(TaskName)
+        if isinstance(make_task(name), ManiSkillTask) is maniskill
     )

@@ -9,6 +9,7 @@ from typing import Any
 from rich.console import Console
 
 from jaxcam.checks.findings import Finding, some
+from jaxcam.config.datasets import CollectConfig
 from jaxcam.config.fields import from_json
 from jaxcam.config.train import TrainConfig
 from jaxcam.console.progress import progress
@@ -16,7 +17,6 @@ from jaxcam.data.collection import dataset_path
 from jaxcam.data.demos import read_demos
 from jaxcam.errors import JaxcamError
 from jaxcam.files.jsonl import read_jsonl
-from jaxcam.pipeline import collect_config
 from jaxcam.results.stats import USUAL, Row, is_finished, latest_rows
 from jaxcam.runs.environment import environment
 from jaxcam.training.checkpoint import CONVENTION, checkpoint_steps
@@ -104,7 +104,7 @@ def _checkpoints(folder: Path, whole: Sides, console: Console | None) -> Iterato
 def _dataset(folder: Path, config: TrainConfig, whole: Sides) -> Finding:
     """Whether the demonstrations are where the run found them, and still the same."""
     what = "dataset"
-    path = Path(config.dataset) if config.dataset else dataset_path(collect_config(config))
+    path = Path(config.dataset) if config.dataset else dataset_path(CollectConfig.of(config))
     if not path.exists():
         # Relative to where the run was started, if its folder still is where it was made.
         depth = len(Path(config.run_dir).parts)

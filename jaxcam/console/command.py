@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
-import tyro
 from rich.console import Console
 from rich.logging import RichHandler
 from rich.panel import Panel
 from rich.text import Text
 
+from jaxcam.config.flags import parse
 from jaxcam.errors import JaxcamError
 
 
@@ -47,7 +47,7 @@ class Command:
         """
         if prog is None and (spec := sys.modules["__main__"].__spec__):
             prog = f"python -m {spec.name}"
-        config: Any = tyro.cli(self.settings, args=argv, prog=prog)
+        config: Any = parse(self.settings, argv, prog)
         module, _, function = self.main.partition(":")
         console = Console()
         logging.basicConfig(

@@ -15,10 +15,10 @@ from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
 from jaxcam.files.jsonl import read_jsonl, write_atomically
 from jaxcam.reports import html as page
-from jaxcam.reports.arms import plain, training_seconds
+from jaxcam.reports.arms import training_seconds
 from jaxcam.reports.html import section
 from jaxcam.results.stats import Estimate, Row, by_field, is_finished, latest_rows, success_rate
-from jaxcam.runs.identity import differences, resolve
+from jaxcam.runs.identity import differences, plain, resolve
 
 _PLOTS = {
     "success_map": "Each held-out camera by direction; the side panels bin one angle at a time.",
