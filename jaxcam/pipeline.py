@@ -26,7 +26,7 @@ from jaxcam.devices import check_same, gathered, has_accelerator, is_first, join
 from jaxcam.errors import ConfigError
 from jaxcam.evaluation.run import Evaluator, evaluate
 from jaxcam.files.jsonl import read_jsonl
-from jaxcam.models import Policy, PolicySpec, Stats, policy_settings
+from jaxcam.models import Policy, PolicySpec, Stats, make_policy, policy_settings
 from jaxcam.models.policy import blank_stats
 from jaxcam.models.weights.load import Weights, load, read_weights, record_weights
 from jaxcam.reports.camera_figures import ray_picture

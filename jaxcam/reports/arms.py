@@ -11,13 +11,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from jaxcam.config.fields import from_json
-from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
 from jaxcam.files.jsonl import append_jsonl, read_jsonl, write_atomically
 from jaxcam.results.protocol import Protocol, counted, lacks, protocol_of
 from jaxcam.results.stats import USUAL, Estimate, Row, latest_rows, success_rate
-from jaxcam.runs.identity import Settings, changes, identity, plain, resolve
+from jaxcam.runs.identity import Settings, changes, identity, plain, read_config
 
 _KEPT = ("step", "split", "pair", "pair_sha", "success", "status", "steps", "azimuth_deg",
          "elevation_deg", "distance", "renderer", "width")  # fmt: skip
@@ -200,9 +198,7 @@ def _read(folder: Path, split: str) -> list[Run]:
 
 
 def _read_run(folder: Path, split: str) -> Run:
-    stored = from_json(TrainConfig, (folder / "config.json").read_text("utf-8"))
-    # Settings that are newer than the run: it was made with their preset's values.
-    config = resolve(stored, accelerator=False)
+    config = read_config(folder)
     rows = [
         r for r in latest_rows(read_jsonl(folder / "eval" / "rows.jsonl")) if _split(r) == split
     ]

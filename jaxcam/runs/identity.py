@@ -12,7 +12,7 @@ from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jaxcam.config.fields import fill
+from jaxcam.config.fields import fill, from_json
 from jaxcam.config.presets import PRESETS, Preset
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
@@ -73,6 +73,20 @@ def _preset(config: TrainConfig, accelerator: bool) -> tuple[str, Preset]:
         known = ", ".join(name for policy, name in PRESETS if policy == config.policy)
         raise ConfigError(f"{config.policy} has no preset '{name}', only {known}.")
     return name, PRESETS[config.policy, name]
+
+
+def read_config(folder: Path) -> TrainConfig:
+    """The resolved settings of a run, from its folder.
+
+    Args:
+        folder: Of the run.
+
+    Raises:
+        ConfigError: Its config.json is damaged.
+    """
+    config = from_json(TrainConfig, (folder / "config.json").read_text("utf-8"))
+    # Settings that are newer than the run: it was made with their preset's values.
+    return resolve(config, accelerator=False)
 
 
 def default_folder(config: TrainConfig) -> str:

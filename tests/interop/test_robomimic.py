@@ -336,7 +336,7 @@ def test_training_takes_a_dataset_and_its_numbers(tmp_path, files, monkeypatch):
     layout = Layout.of(demos)
     total = layout.total
     black = Frames(np.zeros((total, 16, 16, 3), np.uint8), layout, np.ones(total, bool))
-    monkeypatch.setattr("jaxcam.data.pictures.load_frames", lambda *_: black)
+    monkeypatch.setattr("jaxcam.pipeline.load_frames", lambda *_: black)
     data = training_data([resolve(like, accelerator=False)], None)
     assert data.lengths.tolist() == [d.length for d in demos.train + demos.valid]
     assert [len(w) for w in data.windows] == [2, 1]
