@@ -33,8 +33,10 @@ socket.socket.connect = socket.create_connection = socket.getaddrinfo = refuse
 """
 WHOLE = """
 import jaxcam, pkgutil, importlib
+# These are loaded in a process of their own.
+MANISKILL = ("jaxcam.sim.maniskill.envs", "jaxcam.sim.maniskill.worker")
 for module in pkgutil.walk_packages(jaxcam.__path__, "jaxcam."):
-    if module.name not in ("jaxcam.__main__", "jaxcam.sim.maniskill.worker"):
+    if module.name not in ("jaxcam.__main__", *MANISKILL):
         importlib.import_module(module.name)
 """
 
@@ -56,7 +58,7 @@ def test_settings_in_full_load_no_simulator_and_no_jax():
     modules, _ = loaded(
         "from jaxcam.config.train import TrainConfig\n"
         "from jaxcam.runs.identity import resolve\n"
-        "assert resolve(TrainConfig(task='square'), accelerator=False).n == 3"
+        "assert resolve(TrainConfig(task='square'), accelerator=False).n == 4"
     )
     assert not modules & (SIMULATORS | {"jax"})
 

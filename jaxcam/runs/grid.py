@@ -165,11 +165,11 @@ def progress_of(run: Planned) -> Progress:
     """How far a run is, from its folder."""
     metrics = read_jsonl(run.folder / "metrics.jsonl")
     step = int(max((row.get("step", 0) for row in metrics), default=0))
-    every = [r for r in read_jsonl(run.folder / "eval" / "rows.jsonl") if r["split"] == "test"]
-    rows = [r for r in every if r["step"] in run.steps and r["pair"] < run.pairs]
+    test = [r for r in read_jsonl(run.folder / "eval" / "rows.jsonl") if r["split"] == "test"]
+    rows = [r for r in test if r["step"] in run.steps and r["pair"] < run.pairs]
     asked = len(run.steps) * run.pairs
-    left = sum(len(missing([r for r in rows if r["step"] == s], run.pairs)) for s in run.steps)
-    return Progress(step, asked - left, asked, success_rate(latest_rows(rows)))
+    to_do = sum(len(missing([r for r in rows if r["step"] == s], run.pairs)) for s in run.steps)
+    return Progress(step, asked - to_do, asked, success_rate(latest_rows(rows)))
 
 
 def _plan(where: str, runs_dir: Path, given: dict[str, Any], protocol: str) -> Planned:
