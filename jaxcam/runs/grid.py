@@ -54,7 +54,7 @@ class Planned:
     folder: Path
     given: Mapping[str, Any]
     config: TrainConfig
-    protocol: str
+    protocol: ProtocolName
 
     @property
     def name(self) -> str:
@@ -172,7 +172,7 @@ def progress_of(run: Planned) -> Progress:
     return Progress(step, asked - to_do, asked, success_rate(latest_rows(rows)))
 
 
-def _plan(where: str, runs_dir: Path, given: dict[str, Any], protocol: str) -> Planned:
+def _plan(where: str, runs_dir: Path, given: dict[str, Any], protocol: ProtocolName) -> Planned:
     if given.get("preset", "auto") == "auto":
         raise ConfigError(
             f"{where}: there is no 'preset'. A grid says which, since the machine that trains may "
