@@ -16,12 +16,13 @@ import argparse
 import os
 import time
 from pathlib import Path
+from typing import get_args
 
 import jax
 import mujoco
 import numpy as np
 
-from jaxcam.config.presets import NAMES
+from jaxcam.config.names import TaskName
 from jaxcam.data.demos import read_demos
 from jaxcam.rays.rotations import rotvec_from_matrix
 from jaxcam.sim import make_engine, make_task
@@ -163,7 +164,9 @@ def main() -> None:
             sub.add_argument("dataset", nargs="+")
             sub.add_argument("--demos", type=int, default=20)
             continue
-        tasks = [name for name in NAMES["task"] if not isinstance(make_task(name), ManiSkillTask)]
+        tasks = [
+            name for name in get_args(TaskName) if not isinstance(make_task(name), ManiSkillTask)
+        ]
         sub.add_argument("--tasks", nargs="+", default=tasks)
         if run is program:
             sub.add_argument("--compile", action="store_true", help="mjx-jax too: takes minutes")

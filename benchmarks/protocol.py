@@ -124,7 +124,7 @@ def main() -> None:
     fit = np.polyfit(rows, seconds, 1)
     residual = seconds - np.polyval(fit, rows)
     last = [s.megabytes for s in samples if s.process == args.kills and s.megabytes]
-    found = {
+    cost = {
         "rows": len(times),
         "lost": want - len(times),
         "doubled": doubled,
@@ -136,9 +136,9 @@ def main() -> None:
         "megabytes_after_a_quarter_of_the_last_process": last[len(last) // 4],
         "megabytes_at_its_end": last[-1],
     }
-    (args.out / "cost.json").write_text(json.dumps(found, indent=2, default=float) + "\n")
+    (args.out / "cost.json").write_text(json.dumps(cost, indent=2, default=float) + "\n")
     draw(samples, fit, args.out / "cost.png")
-    print(json.dumps(found, indent=2, default=float))
+    print(json.dumps(cost, indent=2, default=float))
     if doubled or len(times) != want:
         raise SystemExit("Rows were lost or doubled.")
 

@@ -66,11 +66,11 @@ class Training:
 
 def kill_at_random(training: Training, kills: int, whole: dict, rng: np.random.Generator) -> None:
     """Kills a training so often, looking at its checkpoints each time, and lets it end."""
-    seen: set[int] = set()
+    known: set[int] = set()
     began = time.monotonic()
     process = training.start()
     for number in range(1, kills + 1):
-        first = max(seen, default=0)
+        first = max(known, default=0)
         # Half of the moments are anywhere in a start, half while updates and saves go on.
         if rng.random() < 0.5:
             time.sleep(rng.uniform(0, 20))
@@ -85,16 +85,16 @@ def kill_at_random(training: Training, kills: int, whole: dict, rng: np.random.G
         process.kill()
         process.wait()
         there = set(checkpoint_steps(training.folder))
-        found = training.digests(there - seen)  # `DamagedError` ends this
-        wrong = [step for step, leaves in found.items() if leaves != whole[step]]
-        lost = sorted(seen - there)
+        digests = training.digests(there - known)  # `DamagedError` ends this
+        wrong = [step for step, leaves in digests.items() if leaves != whole[step]]
+        lost = sorted(known - there)
         half = len(list((training.folder / "checkpoints").glob("*tmp*")))
         print(f"kill {number:2}: {len(there)} checkpoints, newest {max(there, default=0)}, "
               f"{half} half-written, {len(wrong)} wrong, {len(lost)} lost "
               f"({time.monotonic() - began:.0f} s)", flush=True)  # fmt: skip
         if wrong or lost:
             sys.exit(f"wrong: {wrong}, lost: {lost}")
-        seen = there
+        known = there
         process = training.start()
     if process.wait():
         sys.exit(f"failed after the last kill: {training.words()[-2000:]}")

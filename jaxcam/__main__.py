@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from jaxcam.console.command import Command, print_error
+from jaxcam.console.command import Command, print_error, reader_may_leave
 from jaxcam.errors import ConfigError, closest
 
 NAMES = (
@@ -52,7 +52,8 @@ def main() -> None:
     """The command line."""
     name, *rest = sys.argv[1:] or ["--help"]
     if name in ("-h", "--help"):
-        show()
+        with reader_may_leave():
+            show()
         return
     try:
         chosen, _ = command(name)

@@ -75,6 +75,11 @@ def joined(distributed: bool) -> Iterator[None]:
     jax.distributed.shutdown()
 
 
+def has_accelerator() -> bool:
+    """Whether JAX computes on a GPU or TPU."""
+    return jax.default_backend() != "cpu"
+
+
 def is_first() -> bool:
     """Whether this process writes files and talks to people."""
     return jax.process_index() == 0
@@ -97,8 +102,8 @@ def gathered(value: T) -> list[T]:
     sizes = multihost_utils.process_allgather(np.int32(len(data)))
     padded = np.zeros(sizes.max(), np.uint8)
     padded[: len(data)] = data
-    every = multihost_utils.process_allgather(padded)
-    return [json.loads(row[:n].tobytes()) for row, n in zip(every, sizes, strict=True)]
+    texts = multihost_utils.process_allgather(padded)
+    return [json.loads(row[:n].tobytes()) for row, n in zip(texts, sizes, strict=True)]
 
 
 def check_same(what: str, value: str) -> None:
@@ -111,9 +116,9 @@ def check_same(what: str, value: str) -> None:
     Raises:
         ConfigError: They differ.
     """
-    found = gathered(value)
-    if len(set(found)) > 1:
-        listed = ", ".join(f"process {i} has {text}" for i, text in enumerate(found))
+    values = gathered(value)
+    if len(set(values)) > 1:
+        listed = ", ".join(f"process {i} has {text}" for i, text in enumerate(values))
         raise ConfigError(f"The processes of this run have different {what}: {listed}.")
 
 

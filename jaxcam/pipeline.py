@@ -1,4 +1,4 @@
-"""`python -m jaxcam.train`: demonstrations, frames, training, evaluation and a report, in one go.
+"""`python -m jaxcam.train`: demonstrations, pictures, training, evaluation, report, in one go.
 
 Whatever exists is used; whatever was interrupted goes on when the same command is run again.
 """
@@ -21,7 +21,7 @@ from jaxcam.data.collection import collect
 from jaxcam.data.demos import read_demos
 from jaxcam.data.pictures import load_frames
 from jaxcam.data.samples import Layout, Samples
-from jaxcam.devices import check_same, gathered, is_first, joined, own
+from jaxcam.devices import check_same, gathered, has_accelerator, is_first, joined, own
 from jaxcam.errors import ConfigError
 from jaxcam.evaluation.checkpoint import Wanted, evaluate
 from jaxcam.evaluation.evaluator import Candidate, Evaluator
@@ -34,6 +34,7 @@ from jaxcam.reports.camera_figures import ray_picture
 from jaxcam.reports.run_figures import write_plots
 from jaxcam.reports.run_page import write_report
 from jaxcam.reports.style import save
+from jaxcam.results.stats import Estimate
 from jaxcam.runs.folder import RunDir
 from jaxcam.runs.identity import resolve
 from jaxcam.runs.interrupts import interrupts
@@ -48,51 +49,60 @@ from jaxcam.training.state import TrainState
 
 
 def train(config: TrainConfig, console: Console | None = None) -> int:
-    """Trains one run from wherever it stands to its report.
+    """Trains one run, or several side by side, from wherever they stand to their reports.
 
     Args:
-        config: settings; unset ones are filled from the preset.
-        console: for progress; silent when None.
+        config: Settings; those that are left open are filled from the preset.
+        console: For progress; silent when None.
 
     Returns:
         The process's exit code: 0, or 130 or 143 when a signal stopped it after saving.
     """
-    configs = each_seed(_like_its_dataset(config))
+    configs = each_seed(like_its_dataset(config))
     first = configs[0]
     check_loggers(first.log)
-    weights = _checked_weights(configs)  # what cannot work is told before anything is made
+    weights = starting_weights(configs)  # what cannot work is told before anything is made
     check_same("settings", to_json(replace(first, run_dir="", data_dir="", dataset="")))
     with ExitStack() as stack:
         runs = [stack.enter_context(RunDir.open(c)) if is_first() else None for c in configs]
         try:
-            for run in runs:
-                if run and weights and not checkpoint_steps(run.path):
-                    record_weights(run.path, weights)
-            dataset = _dataset(configs, console)
-            check_same("demonstrations", dataset.fingerprint)
-            policy = _policy(first, dataset.stats())
-            with interrupts() as stop:  # only here is there something to save
-                trainer = Trainer(first, dataset, policy, stop, console)
-                states = trainer.fit(configs, runs, weights)
-            if any(gathered(bool(stop))):
-                steps = ", ".join(str(step) for step in sorted({int(s.step) for s in states}))
-                _say_how_to_go_on(console, f"Stopped at update {steps} and saved.")
-                return stop.exit_code or 143  # another process was asked
-            for each, run, state in zip(configs, runs, states, strict=True):
-                _finish(each, run, policy, state, console)
+            return _train(configs, runs, weights, console)
         except KeyboardInterrupt:
             _say_how_to_go_on(console, "Stopped; what is done is kept.")
             return 130
+
+
+def _train(
+    configs: Sequence[TrainConfig],
+    runs: Sequence[RunDir | None],
+    weights: Weights | None,
+    console: Console | None,
+) -> int:
+    """What `train` does once the run folders are its own."""
+    for run in runs:
+        if run and weights and not checkpoint_steps(run.path):
+            record_weights(run.path, weights)
+    dataset = training_data(configs, console)
+    check_same("demonstrations", dataset.fingerprint)
+    policy = policy_of(configs[0], dataset.stats())
+    with interrupts() as stop:  # only here is there something to save
+        states = Trainer(configs[0], dataset, policy, stop, console).fit(configs, runs, weights)
+    if any(gathered(bool(stop))):
+        steps = ", ".join(str(step) for step in sorted({int(s.step) for s in states}))
+        _say_how_to_go_on(console, f"Stopped at update {steps} and saved.")
+        return stop.exit_code or 143  # another process was asked
+    for config, run, state in zip(configs, runs, states, strict=True):
+        _finish(config, run, policy, state, console)
     return 0
 
 
 def each_seed(config: TrainConfig) -> list[TrainConfig]:
-    """The resolved settings of each run that a command trains."""
+    """The settings, in full, of each run that a command trains: one for each seed."""
     if not config.seeds:
-        return [resolve(config)]
+        return [resolve(config, accelerator=has_accelerator())]
     folders = [config.run_dir and f"{config.run_dir}-{seed}" for seed in config.seeds]
     return [
-        resolve(replace(config, seeds=(), seed=seed, run_dir=folder))
+        resolve(replace(config, seeds=(), seed=seed, run_dir=folder), accelerator=has_accelerator())
         for seed, folder in zip(config.seeds, folders, strict=True)
     ]
 
@@ -103,7 +113,7 @@ def _say_how_to_go_on(console: Console | None, what: str) -> None:
         console.print(f"{what} To go on, run the same command again:\n  {command}", soft_wrap=True)
 
 
-def _like_its_dataset(config: TrainConfig) -> TrainConfig:
+def like_its_dataset(config: TrainConfig) -> TrainConfig:
     """The config with the demonstrations and cameras of the dataset that it names, if any."""
     if not config.dataset:
         return config
@@ -119,7 +129,7 @@ def _like_its_dataset(config: TrainConfig) -> TrainConfig:
     return replace(config, **counts)
 
 
-def _dataset(configs: Sequence[TrainConfig], console: Console | None) -> Dataset:
+def training_data(configs: Sequence[TrainConfig], console: Console | None) -> Dataset:
     """What runs that differ in their seed are trained on."""
     config = configs[0]
     task = make_task(config.task)
@@ -135,7 +145,7 @@ def _dataset(configs: Sequence[TrainConfig], console: Console | None) -> Dataset
     return make_dataset(demos, frames, config.action_space, task.scene(config.scene))
 
 
-def _policy(config: TrainConfig, stats: Stats | None = None) -> Policy:
+def policy_of(config: TrainConfig, stats: Stats | None = None) -> Policy:
     """The policy that is trained; without statistics, one of the same shapes."""
     settings = policy_settings(config)
     spec = PolicySpec(
@@ -150,14 +160,14 @@ def _policy(config: TrainConfig, stats: Stats | None = None) -> Policy:
     return make_policy(settings, spec, stats or blank_stats(spec))
 
 
-def _checked_weights(configs: Sequence[TrainConfig]) -> Weights | None:
+def starting_weights(configs: Sequence[TrainConfig]) -> Weights | None:
     """The weights that new runs start from; None without, or when all resume.
 
     Raises:
         ConfigError: The policy cannot be built.
         CheckpointError: The weights are not its.
     """
-    policy, file = _policy(configs[0]), configs[0].weights
+    policy, file = policy_of(configs[0]), configs[0].weights
     if not file or all(checkpoint_steps(config.run_dir) for config in configs):
         return None
     weights = read_weights(file)
@@ -181,17 +191,7 @@ def _finish(
     estimate = evaluate(evaluator, candidate, wanted, console)
     if run is None:
         return
-    metrics = read_jsonl(run.metrics)
-    if not any(r["step"] == step and "success_rate" in r for r in metrics):
-        run.log(
-            {
-                "step": step,
-                "success_rate": estimate.value,
-                "low": estimate.low,
-                "high": estimate.high,
-                "pairs": estimate.clusters,
-            }
-        )
+    _log_success(run, step, estimate)
     rows = [row for row in read_rows(rows_file(run.path)) if row.step == step]
     write_plots(run.path / "plots", read_jsonl(run.metrics), rows)
     save(ray_picture(*evaluator.sight("test", 0)), run.path / "pictures" / "rays.png")
@@ -199,6 +199,14 @@ def _finish(
     if console:
         console.print(f"Success on {config.pairs} held-out pairs: {estimate}")
         console.print(f"Report: {report}")
+
+
+def _log_success(run: RunDir, step: int, estimate: Estimate) -> None:
+    """Writes the result among the metrics, once."""
+    if any(row["step"] == step and "success_rate" in row for row in read_jsonl(run.metrics)):
+        return
+    rate = {"success_rate": estimate.value, "low": estimate.low, "high": estimate.high}
+    run.log({"step": step, **rate, "pairs": estimate.clusters})
 
 
 def main(config: TrainConfig, console: Console) -> int:

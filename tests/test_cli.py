@@ -46,6 +46,16 @@ def test_help_answers_in_time(module):
     pytest.fail(f"--help took {took} s")
 
 
+def test_help_may_be_cut_short():
+    """`jaxcam.train --help | head -1` leaves no traceback."""
+    done = subprocess.run(
+        ["bash", "-c", '"$0" -m jaxcam.train --help | head -1', sys.executable],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stdout.startswith("usage: python -m jaxcam.train")
+    assert done.stderr == ""
+
+
 @pytest.mark.parametrize(
     ("module", "flags", "shown"),
     [
@@ -145,7 +155,7 @@ def test_the_same_command_goes_on_to_the_end(run, where, stopped):
     assert (training[0], training[-1]) == (2, STEPS)
     assert [r["step"] for r in metrics if "val_loss" in r] == [40, 80, 120, 160]
     assert metrics[-1]["pairs"] == 4
-    assert 0 <= metrics[-1]["low"] <= metrics[-1]["success_rate"] <= metrics[-1]["high"] <= 1
+    assert metrics[-1]["low"] == metrics[-1]["success_rate"] == 0 < metrics[-1]["high"] < 1
     assert {80, STEPS} == set(steps_saved(where))  # the one of the interrupt has served
     assert from_json(TrainConfig, (folder / "config.json").read_text()).resolution == 32
 
@@ -157,8 +167,8 @@ def test_evaluation_rows(run):
         assert row["status"] == "ok"
         assert row["split"] == "test"
         assert row["step"] == STEPS
-        assert 1 <= row["steps"] <= 150
-        assert row["success"] == (row["steps"] < 150) or row["steps"] == 150
+        # So short a training lifts nothing, so that each rollout lasts to its task's horizon.
+        assert (row["success"], row["steps"]) == (False, 150)
         assert -90 <= row["azimuth_deg"] <= 90
         assert 30 <= row["elevation_deg"] <= 60
         assert len(row["camera"]) == 1

@@ -4,26 +4,20 @@ import subprocess
 import sys
 
 import pytest
+from places import REPO
 
 OPTIONAL = {"torch", "sapien", "mani_skill", "viser", "submitit", "wandb", "transformers"}
-
-ARRAYS = (
-    "import jaxcam.sim.actions, jaxcam.data.batches, jaxcam.models, jaxcam.training.state, "
-    "jaxcam.results.stats"
-)
-SIMULATION = "import jaxcam.collect, jaxcam.evaluate, jaxcam.train, jaxcam.sim.tasks.lift"
+SIMULATORS = {"mujoco", "robosuite", "numba", "warp", "sapien", "mani_skill", "torch"}
+SHOW = "\nimport sys; print(*{name.split('.')[0] for name in sys.modules}, sep='\\n')"
 
 
-SHOW = "\nimport sys; print(*{name.split('.')[0] for name in sys.modules})"
-
-
-def loaded(code):
-    """Top-level modules that a fresh interpreter has after running the code."""
+def loaded(code, *argv):
+    """Top-level modules that a fresh interpreter has after running the code, and its errors."""
     done = subprocess.run(
-        [sys.executable, "-c", code + SHOW],
+        [sys.executable, "-c", code + SHOW, *map(str, argv)],
         capture_output=True, text=True, check=True,
     )  # fmt: skip
-    return set(done.stdout.split()), done
+    return set(done.stdout.splitlines()), done.stderr
 
 
 def test_settings_and_help_need_no_jax():
@@ -37,15 +31,52 @@ def refuse(*args, **kwargs):
     raise AssertionError("network")
 socket.socket.connect = socket.create_connection = socket.getaddrinfo = refuse
 """
+WHOLE = """
+import jaxcam, pkgutil, importlib
+# These are loaded in a process of their own.
+MANISKILL = ("jaxcam.sim.maniskill.envs", "jaxcam.sim.maniskill.worker")
+for module in pkgutil.walk_packages(jaxcam.__path__, "jaxcam."):
+    if module.name not in ("jaxcam.__main__", *MANISKILL):
+        importlib.import_module(module.name)
+"""
 
 
 def test_the_whole_package_needs_no_extra_and_no_network():
-    modules, done = loaded(f"{NO_NETWORK}\n{ARRAYS}\n{SIMULATION}")
+    modules, errors = loaded(NO_NETWORK + WHOLE)
+    assert "mujoco" in modules
     assert not modules & OPTIONAL
-    assert done.stderr == ""  # neither robosuite nor Warp greets the user
+    assert errors == ""  # neither robosuite nor Warp greets the user
 
 
 @pytest.mark.parametrize("module", ["jaxcam", "jaxcam.errors"])
 def test_light_modules_load_the_standard_library_only(module):
     modules, _ = loaded(f"import {module}")
     assert not modules & {"jax", "numpy", "rich", "tyro"}
+
+
+def test_settings_in_full_load_no_simulator_and_no_jax():
+    modules, _ = loaded(
+        "from jaxcam.config.train import TrainConfig\n"
+        "from jaxcam.runs.identity import resolve\n"
+        "assert resolve(TrainConfig(task='square'), accelerator=False).n == 4"
+    )
+    assert not modules & (SIMULATORS | {"jax"})
+
+
+def test_grids_load_no_simulator_and_no_jax():
+    modules, _ = loaded(
+        "import sys; from jaxcam.runs.grid import read_grid; read_grid(sys.argv[1])",
+        REPO / "grids" / "laptop" / "lift.yaml",
+    )
+    assert not modules & (SIMULATORS | {"jax"})
+
+
+def test_a_report_loads_no_simulator(tmp_path):
+    modules, _ = loaded(
+        "import sys, jaxcam.report\n"
+        "try: jaxcam.report.COMMAND.run(sys.argv[1:])\n"
+        "except SystemExit as ended: assert not ended.code, ended.code",
+        REPO / "results" / "lift", "--out", tmp_path / "report",
+    )  # fmt: skip
+    assert (tmp_path / "report" / "report.md").exists()
+    assert not modules & SIMULATORS

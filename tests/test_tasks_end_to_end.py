@@ -6,10 +6,11 @@ most tasks, `pytest -m slow tests/test_tasks_end_to_end.py` all others.
 
 import itertools
 import json
+from typing import get_args
 
 import pytest
 
-from jaxcam.config.presets import NAMES
+from jaxcam.config.names import SceneName, TaskName
 from jaxcam.config.train import TrainConfig
 from jaxcam.pipeline import train
 from jaxcam.runs.identity import resolve
@@ -28,7 +29,9 @@ long, and differ from the other two's in the task alone."""
 
 
 def cases():
-    for name, scene, space in itertools.product(NAMES["task"], NAMES["scene"], ACTION_SPACES):
+    for name, scene, space in itertools.product(
+        get_args(TaskName), get_args(SceneName), ACTION_SPACES
+    ):
         is_usual = USUAL.get(name) == (scene, space)
         yield pytest.param(name, scene, space, marks=() if is_usual else pytest.mark.slow)
 

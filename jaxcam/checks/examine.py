@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, cast
 
 import h5py
 from rich.console import Console
@@ -23,6 +23,7 @@ from jaxcam.checks.pictures import check_caches, draw_overlays
 from jaxcam.checks.run import check_run
 from jaxcam.config.commands import CheckConfig
 from jaxcam.config.datasets import ManiskillConfig, RobomimicConfig
+from jaxcam.config.names import TaskName
 from jaxcam.data.demos import Demos
 from jaxcam.errors import ConfigError, DatasetError, SimError
 from jaxcam.files.paths import absolute
@@ -106,7 +107,9 @@ def examine(path: Path, count: int, console: Console | None = None) -> Report:
         from jaxcam.interop.robomimic import import_demos
 
         def robomimic(out: Path) -> Demos:
-            return import_demos(RobomimicConfig(str(path), task=task, out=str(out)), console)
+            return import_demos(
+                RobomimicConfig(str(path), task=cast(TaskName, task), out=str(out)), console
+            )
 
         return check_foreign(path, count, console, robomimic)
     return check_dataset(path, count, console)

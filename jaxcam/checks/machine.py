@@ -10,11 +10,12 @@ import time
 from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
+from typing import get_args
 
 import jax
 
 from jaxcam.checks.findings import Finding, bad, good, note
-from jaxcam.config.presets import NAMES
+from jaxcam.config.names import TaskName
 from jaxcam.errors import SimError
 from jaxcam.sim import make_task
 from jaxcam.sim.maniskill import machine
@@ -123,7 +124,7 @@ def _maniskill() -> Iterator[Finding]:
 
 def _maniskill_world() -> Finding:
     """Whether one of its worlds can be made here: that is what other processes will do."""
-    task = next(t for t in map(make_task, NAMES["task"]) if isinstance(t, ManiSkillTask))
+    task = next(t for t in map(make_task, get_args(TaskName)) if isinstance(t, ManiSkillTask))
     try:
         task.require()
         about = pool_of(task.scene("fixed")).about
@@ -135,5 +136,7 @@ def _maniskill_world() -> Finding:
 
 def _tasks(maniskill: bool) -> str:
     return ", ".join(
-        name for name in NAMES["task"] if isinstance(make_task(name), ManiSkillTask) is maniskill
+        name
+        for name in get_args(TaskName)
+        if isinstance(make_task(name), ManiSkillTask) is maniskill
     )

@@ -5,7 +5,17 @@ from typing import Annotated
 
 import tyro
 
-from jaxcam.config.fields import check_least, check_names, check_types, default, one_of
+from jaxcam.config.fields import check_least, check_types
+from jaxcam.config.flags import default
+from jaxcam.config.names import (
+    ActionSpace,
+    Cluster,
+    EngineName,
+    ProtocolName,
+    SceneName,
+    Split,
+    TaskName,
+)
 from jaxcam.errors import ConfigError
 
 
@@ -18,18 +28,18 @@ class EvaluateConfig:
 
     run: tyro.conf.Positional[tuple[str, ...]]
     """Folders of runs."""
-    protocol: Annotated[str, one_of("protocol")] = "one"
+    protocol: ProtocolName = "one"
     """one is a single checkpoint; paper is the last 10 checkpoints on 50 pairs each (3 seeds are 3
     runs)."""
     step: Annotated[int | None, tyro.conf.arg(metavar="INT"), default("newest whole one")] = None
     """Checkpoint to evaluate."""
     pairs: int = 50
     """(Initial state, camera pose) pairs."""
-    split: Annotated[str, one_of("split")] = "test"
+    split: Split = "test"
     """Which pairs: those kept for results, or those for choosing settings."""
     width: int = 50
     """Rollouts simulated at once; rows of different widths are not mixed."""
-    engine: Annotated[str, one_of("engine")] = "auto"
+    engine: EngineName = "auto"
     """Physics; auto is mjx-warp on an accelerator and native without, and for the tasks of
     ManiSkill sapien-gpu on an NVIDIA card and sapien without. Rows of different engines are not
     mixed."""
@@ -45,7 +55,6 @@ class EvaluateConfig:
 
     def __post_init__(self) -> None:
         check_types(self)
-        check_names(self)
         check_least(self, 1, "pairs width")
         check_least(self, 0, "step videos")
         check_least(self, -1, "ensemble")
@@ -64,12 +73,11 @@ class ReportConfig:
     """Run folders, folders of runs, or folders that this command wrote."""
     out: str = "report"
     """Folder to write."""
-    split: Annotated[str, one_of("split")] = "test"
+    split: Split = "test"
     """Which pairs: those kept for results, or those for choosing settings."""
 
     def __post_init__(self) -> None:
         check_types(self)
-        check_names(self)
 
 
 @dataclass(frozen=True)
@@ -103,7 +111,7 @@ class SweepConfig:
     """YAML file; grids/ has one for every table and figure of the paper."""
     jobs: int = 1
     """Runs at once."""
-    cluster: Annotated[str, one_of("cluster")] = "none"
+    cluster: Cluster = "none"
     """Where runs go: none is this machine; slurm goes through submitit (extra `sweep`), and local
     does so on this machine, to try it."""
     retries: int = 3
@@ -113,7 +121,6 @@ class SweepConfig:
 
     def __post_init__(self) -> None:
         check_types(self)
-        check_names(self)
         check_least(self, 1, "jobs")
         check_least(self, 0, "retries")
 
@@ -131,15 +138,14 @@ class WeightsConfig:
     """The run's checkpoint to export."""
     run_dir: str = ""
     """Folder of a run to make of the LeRobot checkpoint, for `python -m jaxcam.evaluate`."""
-    task: Annotated[str, one_of("task")] = "lift"
+    task: TaskName = "lift"
     """What that policy was trained to do."""
-    scene: Annotated[str, one_of("scene")] = "randomized"
+    scene: SceneName = "randomized"
     """In which scene."""
-    action_space: Annotated[str, one_of("action_space")] = "eef_delta"
+    action_space: ActionSpace = "eef_delta"
     """What its actions mean."""
 
     def __post_init__(self) -> None:
         check_types(self)
-        check_names(self)
         if self.export and self.run_dir:
             raise ConfigError("Give --export or --run-dir, not both.")

@@ -5,15 +5,14 @@ from typing import Annotated, Self
 
 import tyro
 
-from jaxcam.config.fields import (
-    PRESET,
-    FromPreset,
-    check_least,
-    check_names,
-    check_types,
-    check_window,
-    default,
-    one_of,
+from jaxcam.config.fields import check_least, check_types, check_window
+from jaxcam.config.flags import PRESET, FromPreset, default
+from jaxcam.config.names import (
+    ActionSpace,
+    CommandSource,
+    EngineName,
+    SceneName,
+    TaskName,
 )
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
@@ -23,9 +22,9 @@ from jaxcam.errors import ConfigError
 class CollectConfig:
     """Collect demonstrations of the scripted expert: states, commands and camera poses."""
 
-    task: Annotated[str, one_of("task")] = "lift"
+    task: TaskName = "lift"
     """What the robot has to do."""
-    scene: Annotated[str, one_of("scene")] = "randomized"
+    scene: SceneName = "randomized"
     """Whether robot and table stand still or move from episode to episode."""
     demos: int = 200
     """Training demonstrations."""
@@ -48,7 +47,6 @@ class CollectConfig:
 
     def __post_init__(self) -> None:
         check_types(self)
-        check_names(self)
         check_least(self, 1, "demos n")
         check_least(self, 0, "validation m seed")
         check_window(self.n, self.m)
@@ -60,14 +58,13 @@ class ReplayConfig:
 
     dataset: tyro.conf.Positional[str]
     """HDF5 file of demonstrations; one of ManiSkill's is imported first (`jaxcam.maniskill`)."""
-    action_space: Annotated[tuple[str, ...], one_of("action_space")] = ()
-    """Action spaces to replay in; the paper's four unless given."""
-    engine: Annotated[str, one_of("engine")] = "auto"
+    action_space: Annotated[tuple[ActionSpace, ...], default("the paper's four")] = ()
+    """Action spaces to replay in."""
+    engine: EngineName = "auto"
     """What steps the physics."""
 
     def __post_init__(self) -> None:
         check_types(self)
-        check_names(self)
 
 
 @dataclass(frozen=True)
@@ -80,7 +77,7 @@ class ImportConfig:
         str | None, tyro.conf.arg(metavar="STR"), default("data/TASK-SCENE-FILE.hdf5")
     ] = None
     """Dataset to write; train on it with `python -m jaxcam.train --dataset`."""
-    scene: Annotated[str, one_of("scene")] = "randomized"
+    scene: SceneName = "randomized"
     """Whether the table and the room that are seen stand still or move from episode to episode."""
     validation: Annotated[
         int | None, tyro.conf.arg(metavar="INT"), default("every tenth, or as the file says")
@@ -93,7 +90,6 @@ class ImportConfig:
 
     def __post_init__(self) -> None:
         check_types(self)
-        check_names(self)
         check_least(self, 1, "n")
         check_least(self, 0, "validation m")
         check_window(self.n, self.m)
@@ -103,9 +99,9 @@ class ImportConfig:
 class RobomimicConfig(ImportConfig):
     """Import robomimic's demonstrations of robosuite, an HDF5 file, by replaying their states."""
 
-    task: Annotated[str, one_of("task")] = "lift"
+    task: TaskName = "lift"
     """What the robot has to do."""
-    actions: Annotated[str, one_of("actions")] = "commands"
+    actions: CommandSource = "commands"
     """Where commands come from: the file's own OSC_POSE actions, or the poses that its states
     reach, which every file has."""
     filter_key: Annotated[str | None, tyro.conf.arg(metavar="STR"), default("every one")] = None
@@ -127,7 +123,7 @@ class LerobotConfig:
     """Folder to write."""
     resolution: int = 256
     """Image side in pixels, an even number; 84 shares the laptop preset's pictures."""
-    action_space: Annotated[str, one_of("action_space")] = TrainConfig.action_space
+    action_space: ActionSpace = TrainConfig.action_space
     """What the actions mean."""
     instruction: Annotated[str | None, tyro.conf.arg(metavar="STR"), default("the task")] = None
     """The task in words, for policies that read."""
@@ -136,7 +132,6 @@ class LerobotConfig:
 
     def __post_init__(self) -> None:
         check_types(self)
-        check_names(self)
         check_least(self, 16, "resolution")
         if self.resolution % 2:
             raise ConfigError(f"resolution must be even for video, got {self.resolution}.")

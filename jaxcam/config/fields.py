@@ -1,51 +1,28 @@
-"""What every record of settings shares: flags, checks, JSON form.
-
-Attribute docstrings are what `--help` prints. Nothing here imports JAX, so help is fast.
-"""
+"""What every record of settings shares: checks, changes and its JSON form."""
 
 import ast
 import dataclasses
 import json
 import math
+import types
 import typing
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import Any, ClassVar, Literal, Protocol, TypeVar, cast
 
-import tyro
-
-from jaxcam.config.presets import NAMES
+from jaxcam.config.names import names_of
 from jaxcam.errors import ConfigError, closest
 
-T = TypeVar("T")
-C = TypeVar("C")
-if TYPE_CHECKING:  # Every reader of a config sees it resolved, so for them the value is a plain T.
-    FromPreset = Annotated[T, "from the preset"]
-else:
 
-    class FromPreset:
-        """`FromPreset[T]` is `T | None` with the help text of a plain T."""
+class Settings(Protocol):
+    """Any record of settings: a dataclass."""
 
-        def __class_getitem__(cls, kind):
-            hint = "(default: the preset's)"
-            return Annotated[
-                kind | None, tyro.conf.arg(metavar=kind.__name__.upper(), help_behavior_hint=hint)
-            ]
+    __dataclass_fields__: ClassVar[dict[str, Any]]
 
 
-PRESET: Any = None
+C = TypeVar("C", bound=Settings)
 
 
-def one_of(field: str) -> Any:
-    """Marks a setting whose value is one of `NAMES[field]`."""
-    return tyro.conf.arg(metavar="{" + ",".join(NAMES[field]) + "}")
-
-
-def default(text: str) -> Any:
-    """Marks a setting whose default `--help` tells in words."""
-    return tyro.conf.arg(help_behavior_hint=f"(default: {text})")
-
-
-def to_json(config: Any) -> str:
+def to_json(config: Settings) -> str:
     """A config as JSON text that `from_json` turns back into an equal config."""
     return json.dumps(dataclasses.asdict(config), indent=2) + "\n"
 
@@ -66,11 +43,20 @@ def from_json(kind: type[C], text: str) -> C:
         raise ConfigError(f"The configuration is not JSON: {error}.") from error
     if not isinstance(values, dict):
         raise ConfigError(f"The configuration is a JSON {type(values).__name__}, not an object.")
-    known = [f.name for f in dataclasses.fields(kind)]  # pyright: ignore[reportArgumentType]
+    values = cast("dict[str, Any]", values)
+    known = [f.name for f in dataclasses.fields(kind)]
     for name in values:
         if name not in known:
             raise ConfigError(f"Unknown setting '{name}'{closest(name, known)}.")
-    return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
+    tuples = {k: tuple(cast("list[Any]", v)) for k, v in values.items() if isinstance(v, list)}
+    return kind(**values | tuples)
+
+
+def fill(config: C, **values: Any) -> C:
+    """The config with these values where it has none of its own; others it keeps."""
+    return dataclasses.replace(
+        config, **{k: v for k, v in values.items() if getattr(config, k) is None}
+    )
 
 
 def overrides(pairs: Iterable[str]) -> dict[str, Any]:
@@ -100,38 +86,54 @@ def with_overrides(settings: C, pairs: Iterable[str]) -> C:
         ConfigError: No such setting, or a value of another type.
     """
     values = overrides(pairs)
-    known = [f.name for f in dataclasses.fields(settings)]  # pyright: ignore[reportArgumentType]
+    known = [f.name for f in dataclasses.fields(settings)]
     for name in values:
         if name not in known:
             raise ConfigError(f"model: unknown setting '{name}'{closest(name, known)}.")
-    changed = dataclasses.replace(settings, **values)  # pyright: ignore[reportArgumentType]
+    changed = dataclasses.replace(settings, **values)
     check_types(changed, where="model: ")
-    return typing.cast(C, changed)
+    return changed
 
 
-def check_types(config: Any, where: str = "") -> None:
-    """Refuses values whose type is not the annotated one."""
-    for name, hint in typing.get_type_hints(type(config)).items():
-        value = getattr(config, name)
-        kinds = tuple(typing.get_origin(t) or t for t in (typing.get_args(hint) or (hint,)))
-        if typing.get_origin(hint) is tuple:
-            kinds = (tuple,)
+def check_types(config: Settings, where: str = "") -> None:
+    """Refuses values whose type is not the annotated one, and names that are unknown.
+
+    Args:
+        config: Settings.
+        where: Start of the message.
+
+    Raises:
+        ConfigError: There is such a value; of a name the message has the closest that is known.
+    """
+    for field, hint in typing.get_type_hints(type(config)).items():
+        value = getattr(config, field)
+        kinds = _kinds(hint)
         is_number = type(value) is int and float in kinds
-        if all(isinstance(k, type) for k in kinds) and type(value) not in kinds and not is_number:
+        if object not in kinds and type(value) not in kinds and not is_number:
             wanted = " or ".join(k.__name__ for k in kinds)
-            raise ConfigError(f"{where}{name} must be {wanted}, got {value!r}.")
+            raise ConfigError(f"{where}{field} must be {wanted}, got {value!r}.")
+        if names := names_of(hint):
+            _check_names(f"{where}Unknown {field}", value, names)
 
 
-def check_names(config: Any) -> None:
-    """Refuses names that are not known, naming the closest."""
-    for field, known in NAMES.items():
-        value = getattr(config, field, None)
-        for name in value if isinstance(value, tuple) else (value,):
-            if name is not None and name not in known:
-                raise ConfigError(f"Unknown {field} '{name}'{closest(name, known)}.")
+def _kinds(hint: Any) -> tuple[type, ...]:
+    """The types of the values that an annotation allows; `object` where it cannot be said."""
+    origin = typing.get_origin(hint)
+    if origin is Literal:
+        return (str,)
+    if origin in (typing.Union, types.UnionType):
+        return tuple(kind for part in typing.get_args(hint) for kind in _kinds(part))
+    kind = origin or hint
+    return (kind,) if isinstance(kind, type) and kind is not Any else (object,)
 
 
-def check_least(config: Any, least: float, fields: str, *, or_equal: bool = True) -> None:
+def _check_names(what: str, value: Any, names: tuple[str, ...]) -> None:
+    for name in cast("tuple[Any, ...]", value) if isinstance(value, tuple) else (value,):
+        if name is not None and name not in names:
+            raise ConfigError(f"{what} '{name}'{closest(str(name), names)}.")
+
+
+def check_least(config: Settings, least: float, fields: str, *, or_equal: bool = True) -> None:
     """Refuses settings below (or, without `or_equal`, at) a bound."""
     for field in fields.split():
         value = getattr(config, field)

@@ -1,7 +1,7 @@
-"""Every setting of every command: frozen records, their presets, their JSON form and their flags.
+"""The settings of a training run.
 
 A setting declared as `FromPreset[T]` may be left out; `resolve` fills it from the preset of the
-policy. Attribute docstrings are what `--help` prints. Nothing here imports JAX, so help is fast.
+policy.
 """
 
 from dataclasses import dataclass
@@ -9,16 +9,21 @@ from typing import Annotated
 
 import tyro
 
-from jaxcam.config.fields import (
-    PRESET,
-    FromPreset,
-    check_least,
-    check_names,
-    check_types,
-    check_window,
-    default,
-    one_of,
-    overrides,
+from jaxcam.config.fields import check_least, check_types, check_window, overrides
+from jaxcam.config.flags import PRESET, FromPreset, default
+from jaxcam.config.names import (
+    ActionSpace,
+    Conditioning,
+    EngineName,
+    LoggerName,
+    OptimizerName,
+    PolicyName,
+    Precision,
+    PresetName,
+    SceneName,
+    ScheduleName,
+    Stem,
+    TaskName,
 )
 from jaxcam.errors import ConfigError
 
@@ -30,17 +35,17 @@ class TrainConfig:
     Missing demonstrations are collected first. The same command run again resumes.
     """
 
-    task: Annotated[str, one_of("task")] = "lift"
+    task: TaskName = "lift"
     """What the robot has to do."""
-    scene: Annotated[str, one_of("scene")] = "randomized"
+    scene: SceneName = "randomized"
     """Whether robot and table stand still or move from episode to episode."""
-    policy: Annotated[str, one_of("policy")] = "act"
+    policy: PolicyName = "act"
     """The kind of policy."""
-    preset: Annotated[str, one_of("preset")] = "auto"
+    preset: PresetName = "auto"
     """Where unset values come from; auto is paper on an accelerator and laptop without one."""
-    conditioning: Annotated[FromPreset[str], one_of("conditioning")] = PRESET
+    conditioning: FromPreset[Conditioning] = PRESET
     """How the policy is told where its cameras are."""
-    action_space: Annotated[str, one_of("action_space")] = "eef_delta"
+    action_space: ActionSpace = "eef_delta"
     """What the policy's actions mean."""
     views: Annotated[FromPreset[int], default("the task's")] = PRESET
     """Cameras the policy sees at once."""
@@ -57,13 +62,13 @@ class TrainConfig:
     """Parts that a batch's gradient is summed over, where the whole does not fit into memory."""
     lr: FromPreset[float] = PRESET
     """Learning rate at its peak."""
-    schedule: Annotated[FromPreset[str], one_of("schedule")] = PRESET
+    schedule: FromPreset[ScheduleName] = PRESET
     """Course of the learning rate after the warm-up."""
     warmup: FromPreset[int] = PRESET
     """Updates over which the learning rate rises to its peak."""
     final_lr: FromPreset[float] = PRESET
     """Learning rate at the end of a cosine."""
-    optimizer: Annotated[FromPreset[str], one_of("optimizer")] = PRESET
+    optimizer: FromPreset[OptimizerName] = PRESET
     """Whether the weight decay stands beside Adam's update (adamw) or in the gradient (adam)."""
     weight_decay: FromPreset[float] = PRESET
     """Weight decay."""
@@ -77,7 +82,7 @@ class TrainConfig:
     """Largest decay of the weights' moving average, which is then evaluated; 0 is off."""
     ema_power: FromPreset[float] = PRESET
     """The decay rises as 1 - update^-power up to that; 0 has it there from the start."""
-    precision: Annotated[FromPreset[str], one_of("precision")] = PRESET
+    precision: FromPreset[Precision] = PRESET
     """Arithmetic of the networks; weights and rays are always float32."""
     resolution: FromPreset[int] = PRESET
     """Image side in pixels."""
@@ -88,7 +93,7 @@ class TrainConfig:
     weights: str = ""
     """File of weights to start from: those of an image encoder or of a whole policy. What a file
     is, `python -m jaxcam.weights FILE` tells."""
-    stem: Annotated[str, one_of("stem")] = "keep"
+    stem: Stem = "keep"
     """A first convolution that also takes the ray-map keeps the weights' kernel for colours, or
     starts anew, as the authors' does."""
 
@@ -102,7 +107,7 @@ class TrainConfig:
     """Validation demonstrations."""
     pairs: int = 50
     """Held-out (initial state, camera pose) pairs of the final evaluation."""
-    engine: Annotated[str, one_of("engine")] = "auto"
+    engine: EngineName = "auto"
     """Physics of the final evaluation; auto is mjx-warp on an accelerator and native without, and
     for the tasks of ManiSkill sapien-gpu on an NVIDIA card and sapien without."""
     ensemble: float = 0.0
@@ -129,7 +134,7 @@ class TrainConfig:
     """Newest checkpoints that are kept."""
     steps_per_call: FromPreset[int] = PRESET
     """Updates in one compiled call. Part of the run's identity: it moves the last digits."""
-    log: Annotated[tuple[str, ...], one_of("log")] = ()
+    log: Annotated[tuple[LoggerName, ...], default("none")] = ()
     """Where metrics go besides metrics.jsonl."""
     distributed: bool = False
     """Be one of several processes of one run: on Slurm, Open MPI or Kubernetes they find each
@@ -137,7 +142,6 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         check_types(self)
-        check_names(self)
         check_least(self, 1, "views steps batch n demos pairs keep log_every eval_every")
         check_least(self, 1, "save_every steps_per_call accumulate")
         check_least(self, 0, "seed warmup weight_decay m validation ema ema_power clip_norm")
@@ -145,33 +149,40 @@ class TrainConfig:
         check_least(self, 16, "resolution")
         check_least(self, 0, "lr crop_min", or_equal=False)
         check_least(self, -1, "ensemble")
-        _check_train(self)
+        _check_shares(self)
+        _check_cameras(self)
+        _check_updates(self)
+        if len(set(self.seeds)) < len(self.seeds) or min(self.seeds, default=0) < 0:
+            raise ConfigError(f"seeds must be different and at least 0, got {self.seeds}.")
         overrides(self.model)
 
 
-def _check_train(config: TrainConfig) -> None:
-    check_window(config.n, config.m)
-    if None not in (config.views, config.n) and config.views > config.n:
-        raise ConfigError(f"views ({config.views}) needs as many cameras: raise n ({config.n}).")
-    if config.crop_min is not None and config.crop_min > 1:
+def _check_shares(config: TrainConfig) -> None:
+    values = vars(config)
+    if (values["crop_min"] or 0) > 1:
         raise ConfigError(f"crop_min is a share of the image, at most 1; got {config.crop_min}.")
     for field in ("ema", "beta1", "beta2"):
-        value = getattr(config, field)
-        if value is not None and value >= 1:
-            raise ConfigError(f"{field} must be below 1, got {value}.")
-    if None not in (config.warmup, config.steps) and config.warmup >= config.steps:
+        if (values[field] or 0) >= 1:
+            raise ConfigError(f"{field} must be below 1, got {values[field]}.")
+
+
+def _check_cameras(config: TrainConfig) -> None:
+    check_window(config.n, config.m)
+    values = vars(config)
+    if None not in (values["views"], values["n"]) and config.views > config.n:
+        raise ConfigError(f"views ({config.views}) needs as many cameras: raise n ({config.n}).")
+
+
+def _check_updates(config: TrainConfig) -> None:
+    values = vars(config)
+    if None not in (values["warmup"], values["steps"]) and config.warmup >= config.steps:
         raise ConfigError(f"warmup ({config.warmup}) must be shorter than steps ({config.steps}).")
-    if len(set(config.seeds)) < len(config.seeds) or min(config.seeds, default=0) < 0:
-        raise ConfigError(f"seeds must be different and at least 0, got {config.seeds}.")
-    if config.batch is not None and config.batch % config.accumulate:
-        raise ConfigError(
-            f"batch ({config.batch}) must be a multiple of accumulate ({config.accumulate})."
-        )
-    if config.steps_per_call is None:
-        return
     for field in ("steps", "log_every", "eval_every", "save_every"):
-        value = getattr(config, field)
-        if value is not None and value % config.steps_per_call:
-            raise ConfigError(
-                f"{field} ({value}) must be a multiple of steps_per_call ({config.steps_per_call})."
-            )
+        _check_multiple(config, field, "steps_per_call")
+    _check_multiple(config, "batch", "accumulate")
+
+
+def _check_multiple(config: TrainConfig, field: str, of: str) -> None:
+    value, unit = getattr(config, field), getattr(config, of)
+    if None not in (value, unit) and value % unit:
+        raise ConfigError(f"{field} ({value}) must be a multiple of {of} ({unit}).")

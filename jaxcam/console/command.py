@@ -3,19 +3,22 @@
 So `--help` and bad flags are answered at once, and nothing else has to think of that.
 """
 
+import contextlib
 import logging
+import os
+import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
-import tyro
 from rich.console import Console
 from rich.logging import RichHandler
 from rich.panel import Panel
 from rich.text import Text
 
+from jaxcam.config.flags import parse
 from jaxcam.errors import JaxcamError
 
 
@@ -47,7 +50,8 @@ class Command:
         """
         if prog is None and (spec := sys.modules["__main__"].__spec__):
             prog = f"python -m {spec.name}"
-        config: Any = tyro.cli(self.settings, args=argv, prog=prog)
+        with reader_may_leave():
+            config: Any = parse(self.settings, argv, prog)
         module, _, function = self.main.partition(":")
         console = Console()
         logging.basicConfig(
@@ -59,6 +63,25 @@ class Command:
             sys.exit(print_error(error))
         except KeyboardInterrupt:
             sys.exit(130)
+
+
+@contextlib.contextmanager
+def reader_may_leave() -> Iterator[None]:
+    """Ends the process quietly when who reads what it prints has gone, as `| head` does.
+
+    What rich prints needs no such care.
+
+    Raises:
+        SystemExit: The reader has gone; 141, as for a process that SIGPIPE ended.
+    """
+    try:
+        try:
+            yield
+        finally:
+            sys.stdout.flush()  # here, and not when the interpreter ends
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SystemExit(128 + signal.SIGPIPE) from None
 
 
 def print_error(error: JaxcamError) -> int:

@@ -27,10 +27,10 @@ def progress(
     """Shows how far a long job is.
 
     Args:
-        console: where; None shows nothing.
-        what: the job, a word or two.
-        total: number of steps.
-        done: steps that are done already.
+        console: Where; None shows nothing.
+        what: The job, a word or two.
+        total: Number of steps.
+        done: Steps that are done already.
 
     Yields:
         `advance(steps=1, note="")`, to be called as steps are done.
@@ -80,8 +80,8 @@ class _Lines:
         if now - self._shown < LINE_SECONDS or self._done == self._first:
             return
         self._shown, gone = now, now - self._started
-        left = gone / (self._done - self._first) * (self._total - self._done)
-        self._show(f"{_clock(gone)} gone, {_clock(left)} left")
+        to_come = gone / (self._done - self._first) * (self._total - self._done)
+        self._show(f"{_clock(gone)} gone, {_clock(to_come)} left")
 
     def end(self) -> None:
         self._show(f"{_clock(time.monotonic() - self._started)} in all")

@@ -8,6 +8,7 @@ import numpy as np
 from rich.console import Console
 
 from jaxcam.config.datasets import CollectConfig
+from jaxcam.config.fields import fill
 from jaxcam.console.progress import progress
 from jaxcam.data.demos import Demo, Demos, Header, read_demos
 from jaxcam.data.replay import replay_all
@@ -17,7 +18,6 @@ from jaxcam.files.locks import exclusive
 from jaxcam.files.paths import home
 from jaxcam.rays import sample_poses, stair, stair_cameras
 from jaxcam.rays.rotations import quaternion_from_matrix, rotvec_from_matrix
-from jaxcam.runs.identity import with_task
 from jaxcam.sim import make_engine, make_task
 from jaxcam.sim.controllers import CONTROL_HZ
 from jaxcam.sim.engine import Command, Engine, Start, State
@@ -38,9 +38,15 @@ LEAST_SUCCESS = 0.9
 """Share of episodes worth keeping below which something is broken and collection stops."""
 
 
+def with_stair(config: CollectConfig) -> CollectConfig:
+    """The config with its task's number of cameras, n and m, where it leaves them open."""
+    n, m = make_task(config.task).stair
+    return fill(config, n=n, m=m)
+
+
 def dataset_path(config: CollectConfig) -> Path:
     """Where a dataset lies: its name holds every setting that shapes it."""
-    config = with_task(config)
+    config = with_stair(config)
     name = f"{config.task}-{config.scene}-n{config.n}m{config.m}-{config.demos}+{config.validation}"
     return home(config.data_dir) / f"{name}-seed{config.seed}.hdf5"
 
@@ -55,7 +61,7 @@ def collect(config: CollectConfig, console: Console | None = None) -> Demos:
     Returns:
         The complete dataset. An existing file is read and checked, an unfinished one continued.
     """
-    config = with_task(config)
+    config = with_stair(config)
     path = dataset_path(config)
     if not path.exists():
         task = make_task(config.task)

@@ -13,10 +13,10 @@ from jaxcam.config.commands import EvaluateConfig
 from jaxcam.config.train import TrainConfig
 from jaxcam.devices import gathered, is_first, joined
 from jaxcam.errors import CheckpointError, JaxcamError
-from jaxcam.files.paths import absolute
 from jaxcam.evaluation.checkpoint import Wanted, evaluate, rows_of
 from jaxcam.evaluation.evaluator import Candidate, Evaluator
 from jaxcam.files.jsonl import read_jsonl
+from jaxcam.files.paths import absolute
 from jaxcam.models import rebuild_policy
 from jaxcam.reports.run_figures import write_plots
 from jaxcam.reports.run_page import write_report

@@ -66,8 +66,8 @@ def _cut_torn_line(file: Any) -> None:
         start = max(0, keep - 65536)
         file.seek(start)
         block = file.read(keep - start)
-        if (found := block.rfind(b"\n")) >= 0:
-            keep = start + found + 1
+        if (line_end := block.rfind(b"\n")) >= 0:
+            keep = start + line_end + 1
             break
         keep = start
     if keep < end:

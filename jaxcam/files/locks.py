@@ -1,44 +1,109 @@
-"""Locks between processes that make the same file."""
+"""Locks between processes: one to wait for, and one that says who holds it.
+
+The kernel frees a lock when its holder ends, even by `kill -9`. The lock's file stays.
+"""
 
 import contextlib
-import fcntl
+import datetime
 import os
+import socket
 from collections.abc import Iterator
 from pathlib import Path
 
+from filelock import FileLock, Timeout
 from rich.console import Console
 
-from jaxcam.errors import DatasetError
+from jaxcam.errors import DatasetError, JaxcamError
 
 
 @contextlib.contextmanager
 def exclusive(path: Path, console: Console | None = None) -> Iterator[None]:
     """Lets one process at a time in; the others wait, then find what the first one made.
 
-    The kernel frees the lock when its holder ends, even by `kill -9`.
-
     Args:
-        path: what is to be made; the lock is `<path>.lock` beside it and stays there, empty.
-        console: where to say that another process is waited for.
+        path: What is to be made; the lock is `<path>.lock` beside it, an empty file.
+        console: Where to say that another process is waited for.
 
     Raises:
-        DatasetError: if the folder cannot be written to.
+        DatasetError: The folder cannot be written to.
     """
+    lock = _lock(Path(f"{path}.lock"))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(f"{path}.lock", os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            lock.acquire(blocking=False)
+        except Timeout:
+            if console:
+                console.print(f"Waiting for the process that is making {path.name}.")
+            lock.acquire()
     except OSError as error:
         raise DatasetError(
             f"Cannot write to {path.parent}: {error.strerror}. Choose another --data-dir, or make "
             "room or get permission."
         ) from error
     try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            if console:
-                console.print(f"Waiting for the process that is making {path.name}.")
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
         yield
     finally:
-        os.close(descriptor)
+        lock.release()
+
+
+class InUseError(JaxcamError):
+    """Another process holds a lock.
+
+    Attributes:
+        holder: What it says of itself, "pid 7 on host since …"; empty while it is just starting.
+    """
+
+    def __init__(self, path: Path, holder: str) -> None:
+        super().__init__(f"{path} is held by {holder or 'a process just starting'}.")
+        self.holder = holder
+
+
+class NamedLock:
+    """A lock whose file says who holds it.
+
+    Args:
+        path: Its file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._lock = _lock(path)
+
+    def take(self) -> str:
+        """Take it, or fail at once.
+
+        Returns:
+            What a holder that ended without freeing it said of itself; empty if none did.
+
+        Raises:
+            InUseError: Another holds it.
+            OSError: The file cannot be made or locked.
+        """
+        try:
+            self._lock.acquire(blocking=False)
+        except Timeout as error:
+            raise InUseError(self._path, self._holder()) from error
+        now = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
+        try:
+            before = self._holder()
+            me = f"pid {os.getpid()} on {socket.gethostname()} since {now}\n"
+            self._path.write_text(me, "utf-8")
+        except OSError:
+            self._lock.release()
+            raise
+        return before
+
+    def free(self) -> None:
+        """Let others take it; nothing if it is free."""
+        if self._lock.is_locked:
+            os.truncate(self._path, 0)
+            self._lock.release()
+
+    def _holder(self) -> str:
+        return self._path.read_text("utf-8", errors="replace")[:1000].strip()
+
+
+def _lock(path: Path) -> FileLock:
+    # Where the file system has no locks, one made of a file's existence would outlive its holder.
+    return FileLock(path, thread_local=False, fallback_to_soft=False)

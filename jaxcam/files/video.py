@@ -31,18 +31,18 @@ _GAP = 4
 
 
 class VideoFile:
-    """An H.264 mp4 that grows by frames (yuv420p, BT.709, index first so that it plays early).
+    """An H.264 mp4 that grows by pictures (yuv420p, BT.709, index first so that it plays early).
 
     The file appears under its name only when it is complete. Odd sizes, which 4:2:0 video cannot
     have, are made even by repeating the last row or column.
 
     Args:
         path: Where the video goes; folders are made.
-        height: Of the frames.
-        width: Of the frames.
-        fps: Frames a second.
+        height: Of the pictures, in pixels.
+        width: Of the pictures, in pixels.
+        fps: Pictures a second.
         crf: Quality of libx264, 0 (lossless) to 51; 20 is hard to tell from the original.
-        key_every: Frames from one that stands alone to the next; libx264's own choice when None.
+        key_every: Pictures from one that stands alone to the next; libx264's own choice when None.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class VideoFile:
         self.path = Path(path)
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self.part = self.path.with_name(self.path.name + ".part")
-        self.frames = 0
+        self.length = 0
         self._even = ((0, 0), (0, height % 2), (0, width % 2), (0, 0))
         options = {"movflags": "faststart"}
         self._container = av.open(str(self.part), "w", format="mp4", options=options)
@@ -85,30 +85,30 @@ class VideoFile:
         if kind is None:
             self.part.replace(self.path)
 
-    def add(self, frames: np.ndarray) -> None:
-        """Appends frames, uint8 [T, H, W, 3], RGB."""
-        for rgb in np.pad(frames, self._even, mode="edge"):
+    def add(self, pictures: np.ndarray) -> None:
+        """Appends pictures, uint8 [T, H, W, 3], RGB."""
+        for rgb in np.pad(pictures, self._even, mode="edge"):
             frame = VideoFrame.from_ndarray(np.ascontiguousarray(rgb), format="rgb24")
             frame = frame.reformat(format="yuv420p", dst_colorspace="ITU709")
             self._container.mux(self._stream.encode(frame))
-        self.frames += len(frames)
+        self.length += len(pictures)
 
 
-def write_video(path: str | Path, frames: np.ndarray, fps: float = 20, *, crf: int = 20) -> Path:
+def write_video(path: str | Path, pictures: np.ndarray, fps: float = 20, *, crf: int = 20) -> Path:
     """Write a whole `VideoFile`.
 
     Args:
         path: Where the video goes; folders are made.
-        frames: uint8 [T, H, W, 3], RGB, at least one frame.
-        fps: Frames a second.
+        pictures: uint8 [T, H, W, 3], RGB, at least one picture.
+        fps: Pictures a second.
         crf: Quality of libx264, 0 (lossless) to 51.
 
     Returns:
         The path.
     """
-    _check(frames)
-    with VideoFile(path, frames.shape[1], frames.shape[2], fps, crf=crf) as video:
-        video.add(frames)
+    _check(pictures)
+    with VideoFile(path, pictures.shape[1], pictures.shape[2], fps, crf=crf) as video:
+        video.add(pictures)
     return Path(path)
 
 
@@ -119,7 +119,7 @@ def grid(
     rows: Sequence[Row] | None = None,
     hold: int = 20,
 ) -> np.ndarray:
-    """Tile clips into one video; a clip that ends early stands still on its last frame.
+    """Tile clips into one video; a clip that ends early stands still on its last picture.
 
     The border of a tile is grey while the clip runs and takes the colour of the outcome when it
     ends: blue for success, vermilion for failure.
@@ -128,7 +128,7 @@ def grid(
         videos: Clips, uint8 [T, H, W, 3], equal in height and width.
         columns: Tiles side by side; by default about as many as below one another.
         rows: Evaluation rows, one a clip, for the captions (pair, azimuth, elevation, outcome).
-        hold: Frames added at the end, so that the last outcome can be seen.
+        hold: Pictures added at the end, so that the last outcome can be seen.
 
     Returns:
         uint8 [T + hold, H', W', 3], T the length of the longest clip.
@@ -159,11 +159,11 @@ def grid(
 
 
 def _fill_tile(tile: np.ndarray, clip: np.ndarray, scale: int, row: Row | None) -> None:
-    """Write picture, border and caption of all frames of one tile in place."""
+    """Draw content, border and caption of each picture of one tile in place."""
     height, width = scale * clip.shape[1], scale * clip.shape[2]
     caption, outcome, colour = _describe(row)
     for t in range(min(len(clip) + 1, len(tile))):
-        ended = t == len(clip)  # the frame after the clip has the colour of the outcome
+        ended = t == len(clip)  # the picture after the clip has the colour of the outcome
         image = np.full(tile.shape[1:], colour if ended else _RUNNING, np.uint8)
         picture = clip[min(t, len(clip) - 1)]
         picture = cv2.resize(picture, (width, height), interpolation=cv2.INTER_CUBIC)
@@ -197,9 +197,14 @@ def _write(tile: np.ndarray, caption: str, outcome: str) -> None:
             cv2.putText(tile, text, (left, baseline), font, size, _TEXT, 1, cv2.LINE_AA)
 
 
-def _check(frames: np.ndarray) -> None:
+def _check(pictures: np.ndarray) -> None:
     """Refuse what is not a video, in words."""
-    if frames.ndim != 4 or frames.shape[-1] != 3 or frames.dtype != np.uint8 or not frames.size:
+    if (
+        pictures.ndim != 4
+        or pictures.shape[-1] != 3
+        or pictures.dtype != np.uint8
+        or not pictures.size
+    ):
         raise ValueError(
-            f"frames must be uint8 [T, H, W, 3] with T > 0, got {frames.dtype} {frames.shape}"
+            f"pictures must be uint8 [T, H, W, 3] with T > 0, got {pictures.dtype} {pictures.shape}"
         )

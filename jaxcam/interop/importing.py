@@ -3,19 +3,20 @@
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from rich.console import Console
 
 from jaxcam.config.datasets import CollectConfig, ImportConfig
-from jaxcam.data.collection import camera_windows, new_header
+from jaxcam.config.names import TaskName
+from jaxcam.data.collection import camera_windows, new_header, with_stair
 from jaxcam.data.demos import Demo, Demos, read_demos
 from jaxcam.data.writer import DemoWriter
 from jaxcam.errors import DatasetError
 from jaxcam.files.locks import exclusive
 from jaxcam.files.paths import home
 from jaxcam.rays.rotations import matrix_from_quaternion
-from jaxcam.runs.identity import with_task
 from jaxcam.sim.engine import Start, State
 from jaxcam.sim.task import Task
 from jaxcam.sim.world import World
@@ -50,13 +51,18 @@ def write_dataset(
     """
     out = home(config.out or f"data/{task.name}-{config.scene}-{Path(config.file).stem}.hdf5")
     like = CollectConfig(
-        task=task.name, scene=config.scene, demos=train, validation=valid, n=config.n, m=config.m
+        task=cast(TaskName, task.name),
+        scene=config.scene,
+        demos=train,
+        validation=valid,
+        n=config.n,
+        m=config.m,
     )
     with exclusive(out, console):
         if out.exists():
             raise DatasetError(f"{out} exists. Choose another --out, or delete it first.")
         out.with_name(out.name + ".part").unlink(missing_ok=True)  # perhaps of another file
-        header = new_header(with_task(like), task, task.scene(config.scene))
+        header = new_header(with_stair(like), task, task.scene(config.scene))
         header = replace(header, versions={**header.versions, "imported": about})
         with DemoWriter(out, header) as writer:
             for i, (demo, cameras) in enumerate(zip(demos, camera_windows(header), strict=True)):

@@ -196,7 +196,7 @@ class Writer:
                 key_every=KEY_EVERY,
             )
         video, number = self._videos[key], self._video_files[key]
-        first = video.frames
+        first = video.length
         video.add(frames)
         if video.part.stat().st_size > VIDEO_MB * 2**20:
             self._videos.pop(key).__exit__(None)

@@ -7,12 +7,10 @@ from a results folder (`rows.jsonl` and `runs.json`), which `write_results` make
 import functools
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from jaxcam.config.fields import from_json
-from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.files.jsonl import append_jsonl, read_jsonl, write_atomically
 from jaxcam.files.paths import absolute
@@ -25,17 +23,11 @@ from jaxcam.results.stats import (
     paired_difference,
     success_rate,
 )
-from jaxcam.runs.identity import FREE_TO_CHANGE, resolve
+from jaxcam.runs.identity import Settings, changes, identity, plain, read_config
 from jaxcam.runs.rollouts import read_rows, rows_file
 
-Settings = dict[str, Any]
-
-# Of the settings that leave training as it was, these say what was trained on and how the
-# policy was run; seeds and how updates are computed differ between runs compared as one.
-_OWN = {"seed", "steps_per_call", "accumulate"}
-_NO_IDENTITY = (FREE_TO_CHANGE | _OWN) - {"dataset", "engine", "ensemble"}
-_NAMED = ("task", "scene", "policy", "preset", "conditioning")
 _SHARED = ("task", "scene", "policy", "conditioning")
+
 _KEPT = ("step", "split", "pair", "pair_sha", "success", "status", "steps", "azimuth_deg",
          "elevation_deg", "distance", "renderer", "width")  # fmt: skip
 
@@ -135,13 +127,6 @@ class Arm:
         return ", ".join([f"{self.settings['preset']} preset", *changes])
 
 
-def plain(value: Any) -> str:
-    """A setting's value as people write it."""
-    if isinstance(value, list | tuple):
-        return " ".join(map(str, value)) or "–"
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
 def read_runs(paths: Iterable[str | Path], split: str = "test") -> list[Run]:
     """All runs in and below folders; each run once, however often it is met.
 
@@ -175,34 +160,6 @@ def group(runs: Iterable[Run]) -> list[Arm]:
     for run in runs:
         arms.setdefault(json.dumps(run.settings, sort_keys=True), []).append(run)
     return [Arm(tuple(sorted(some, key=lambda r: r.seed or 0))) for some in arms.values()]
-
-
-def identity(config: TrainConfig) -> Settings:
-    """The settings that runs of one arm share, as JSON has them.
-
-    Args:
-        config: Resolved settings of a run.
-    """
-    values = {k: v for k, v in asdict(config).items() if k not in _NO_IDENTITY}
-    values["model"] = list(config.model)
-    values["dataset"] = Path(config.dataset).stem
-    values["weights"] = Path(config.weights).stem
-    return values
-
-
-def changes(settings: Settings) -> Settings:
-    """The settings that are not what their policy's preset and their task give.
-
-    Args:
-        settings: From `identity`.
-    """
-    named = tuple(settings[name] for name in _NAMED)
-    usual, so_long = _usual(*named), _usual(*named, steps=settings["steps"])
-    # What follows from the number of updates, such as the warm-up, is no change of its own.
-    return {
-        k: v for k, v in settings.items()
-        if v is not None and v != usual[k] and (k == "steps" or v != so_long[k])
-    }  # fmt: skip
 
 
 def write_results(folder: Path, runs: Sequence[Run]) -> None:
@@ -261,9 +218,7 @@ def _read(folder: Path, split: str) -> list[Run]:
 
 
 def _read_run(folder: Path, split: str) -> Run:
-    stored = from_json(TrainConfig, (folder / "config.json").read_text("utf-8"))
-    # Settings that are newer than the run: it was made with their preset's values.
-    config = resolve(stored, accelerator=False)
+    config = read_config(folder)
     rows = [row for row in latest_rows(read_rows(rows_file(folder))) if row.split == split]
     settings = identity(config) | _ways(rows)
     if config.weights:
@@ -340,12 +295,6 @@ def _check_pairs(runs: Iterable[Run]) -> None:
                     f"different pairs of the same number ({row.pair}: {known} and {row.pair_sha}), "
                     "so they cannot be compared. Evaluate both with one version."
                 )
-
-
-@functools.lru_cache
-def _usual(*named: str, steps: int | None = None) -> Settings:
-    config = TrainConfig(**dict(zip(_NAMED, named, strict=True)), steps=steps)  # pyright: ignore
-    return identity(resolve(config, accelerator=False)) | USUAL_WAY
 
 
 def _ways(rows: Iterable[Row]) -> Settings:

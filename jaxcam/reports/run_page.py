@@ -14,11 +14,11 @@ from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
 from jaxcam.files.jsonl import read_jsonl, write_atomically
 from jaxcam.reports import paper
-from jaxcam.reports.arms import plain, training_seconds
+from jaxcam.reports.arms import training_seconds
 from jaxcam.reports.html import Embedded, embedded, render
 from jaxcam.results.rows import Row
 from jaxcam.results.stats import Estimate, by_field, latest_rows, success_rate
-from jaxcam.runs.identity import differences, resolve
+from jaxcam.runs.identity import differences, plain, resolve
 from jaxcam.runs.rollouts import read_rows, rows_file
 
 Metrics = Sequence[Mapping[str, Any]]

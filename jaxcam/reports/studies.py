@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from jaxcam.config.presets import NAMES
+from jaxcam.config.names import Conditioning, names_of
 from jaxcam.reports import paper
 from jaxcam.reports.arms import Arm
 from jaxcam.reports.tables import by_task, context
@@ -45,7 +45,7 @@ class Panel:
     arms: Mapping[Any, Mapping[str, Arm]]
 
 
-CONDITIONINGS = NAMES["conditioning"]
+CONDITIONINGS = names_of(Conditioning)
 """In the order of figures."""
 
 STUDIES = (

@@ -10,9 +10,10 @@ from itertools import zip_longest
 from typing import Any
 
 from jaxcam.reports import paper
-from jaxcam.reports.arms import Arm, Run, plain
+from jaxcam.reports.arms import Arm, Run
 from jaxcam.reports.document import Link, Table
 from jaxcam.results.stats import PairedDifference, by_field, p_text
+from jaxcam.runs.identity import plain
 
 NONE = "–"
 # Settings that a task brings with it, so that they differ between the columns of Table I.

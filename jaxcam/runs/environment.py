@@ -2,10 +2,17 @@
 
 import contextlib
 import importlib.metadata
+import logging
 import os
 import platform
 import subprocess
 from pathlib import Path
+
+import jax
+
+from jaxcam.files.jsonl import write_atomically
+
+_log = logging.getLogger(__name__)
 
 PACKAGES = ("jaxcam", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "numpy", "mujoco",
             "mujoco-mjx", "warp-lang", "robosuite")  # fmt: skip
@@ -22,25 +29,44 @@ def package_versions() -> dict[str, str]:
 
 def environment() -> dict[str, str]:
     """Packages, Python, system and devices, for the records of a run."""
-    import jax
-
     devices = ", ".join(f"{d.platform} {d.device_kind}" for d in jax.devices())
     system = {"python": platform.python_version(), "system": platform.platform()}
     return {**package_versions(), **system, "cores": str(os.cpu_count()), "devices": devices}
 
 
-def git_revision() -> str | None:
-    """Commit and uncommitted changes of the checkout jaxcam runs from, or None if it is none."""
-    here = Path(__file__)
+def record_environment(folder: Path) -> None:
+    """Write down what a run is started on, in env.txt and git.txt; warn if env.txt had another.
+
+    Args:
+        folder: Of the run.
+    """
+    file = folder / "env.txt"
+    text = "".join(f"{name} {value}\n" for name, value in environment().items())
+    before = file.read_text("utf-8") if file.exists() else text
+    if before != text:
+        new = [line for line in text.splitlines() if line not in before.splitlines()]
+        _log.warning("The environment changed, so results are not bit-exact: now %s.",
+                     ", ".join(new) or "fewer packages")  # fmt: skip
+    write_atomically(file, text)
+    if revision := git_revision(Path(__file__)):
+        write_atomically(folder / "git.txt", revision)
+
+
+def git_revision(file: Path) -> str | None:
+    """Commit and uncommitted changes of the checkout that a file belongs to; None if to none.
+
+    Args:
+        file: Of the code that runs. It may lie in someone else's checkout, which is then not it.
+    """
 
     def git(*args: str) -> str:
-        command = ["git", "-C", str(here.parent), *args]
+        command = ["git", "-C", str(file.parent), *args]
         return subprocess.run(
             command, capture_output=True, text=True, check=True, timeout=10
         ).stdout
 
     try:
-        git("ls-files", "--error-unmatch", here.name)  # Else the checkout is someone else's.
+        git("ls-files", "--error-unmatch", file.name)
         return git("rev-parse", "HEAD") + git("status", "--porcelain") + git("diff", "HEAD")
     except (OSError, subprocess.SubprocessError):
         return None

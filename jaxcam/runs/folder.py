@@ -1,27 +1,26 @@
-"""A run's folder: its lock, its configuration, its records, and how a run is stopped.
+"""A run's folder: its lock, its configuration and its records.
 
 Only one process writes to a run folder, and only with the configuration the folder was made with.
 """
 
 import datetime
-import fcntl
 import logging
 import os
 import shlex
 import shutil
-import socket
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
-from jaxcam.config.fields import from_json, to_json
+from jaxcam.config.fields import to_json
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
 from jaxcam.files.jsonl import append_jsonl, line_of, read_jsonl, write_atomically
+from jaxcam.files.locks import InUseError, NamedLock
 from jaxcam.files.paths import absolute
-from jaxcam.runs.environment import environment, git_revision
-from jaxcam.runs.identity import differences, resolve
+from jaxcam.runs.environment import record_environment
+from jaxcam.runs.identity import differences, read_config
 
 MIN_FREE = 500_000_000
 """Bytes that must be free before a run starts."""
@@ -32,7 +31,7 @@ _log = logging.getLogger(__name__)
 class RunDir:
     """A run folder this process may write to. Make one with `RunDir.open`; close it when done."""
 
-    def __init__(self, path: Path, lock: int) -> None:
+    def __init__(self, path: Path, lock: NamedLock) -> None:
         self.path = path
         self._lock = lock
 
@@ -57,7 +56,7 @@ class RunDir:
         """
         path = absolute(config.run_dir)
         _check_writable(path, min_free)
-        run = cls(path, _lock(path / "lock"))
+        run = cls(path, _locked(path))
         try:
             run._adopt(config, list(sys.orig_argv if command is None else command))
         except BaseException:
@@ -73,10 +72,7 @@ class RunDir:
 
     def close(self) -> None:
         """Let other processes have the folder."""
-        if self._lock >= 0:
-            os.truncate(self.path / "lock", 0)
-            os.close(self._lock)  # Closing releases the lock.
-            self._lock = -1
+        self._lock.free()
 
     @property
     def checkpoints(self) -> Path:
@@ -103,9 +99,7 @@ class RunDir:
         """Compare with the configuration in the folder, then write down this start."""
         stored = self.path / "config.json"
         if stored.exists():
-            old = from_json(TrainConfig, stored.read_text("utf-8"))
-            # Settings that are newer than the run: it was made with their preset's values.
-            self._compare(resolve(old, accelerator=False), config)
+            self._compare(read_config(self.path), config)
         elif self.checkpoints.exists() and any(self.checkpoints.iterdir()):
             raise ConfigError(
                 f"{self.path} has checkpoints but no config.json, so it cannot be continued. "
@@ -115,9 +109,7 @@ class RunDir:
         now = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
         with open(self.path / "command.txt", "a", encoding="utf-8") as file:
             file.write(f"{now}  {shlex.join(command)}\n")
-        self._write_environment()
-        if revision := git_revision():
-            write_atomically(self.path / "git.txt", revision)
+        record_environment(self.path)
 
     def _compare(self, old: TrainConfig, new: TrainConfig) -> None:
         changes = [d for d in differences(old, new) if d.field != "run_dir"]
@@ -129,16 +121,6 @@ class RunDir:
             )
         for change in changes:
             _log.warning("Changed since the run began: %s.", change)
-
-    def _write_environment(self) -> None:
-        file = self.path / "env.txt"
-        text = "".join(f"{name} {value}\n" for name, value in environment().items())
-        if file.exists() and file.read_text("utf-8") != text:
-            old = set(file.read_text("utf-8").splitlines())
-            new = [line for line in text.splitlines() if line not in old]
-            _log.warning("The environment changed, so results are not bit-exact: now %s.",
-                         ", ".join(new) or "fewer packages")  # fmt: skip
-        write_atomically(file, text)
 
 
 def _check_writable(path: Path, min_free: int) -> None:
@@ -160,23 +142,18 @@ def _check_writable(path: Path, min_free: int) -> None:
         )
 
 
-def _lock(path: Path) -> int:
-    """Lock a file for as long as this process lives; the kernel frees it even after kill -9."""
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+def _locked(path: Path) -> NamedLock:
+    """The folder's lock, taken for as long as this process lives."""
+    lock = NamedLock(path / "lock")
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        holder = os.pread(descriptor, 1000, 0).decode(errors="replace").strip()
-        os.close(descriptor)
-        if not isinstance(error, BlockingIOError):
-            raise ConfigError(f"Cannot lock {path}: {error.strerror}.") from error
+        before = lock.take()
+    except InUseError as error:
         raise ConfigError(
-            f"The run folder {path.parent} is in use by {holder or 'a process just starting'}. "
+            f"The run folder {path} is in use by {error.holder or 'a process just starting'}. "
             "Wait for it, stop it, or choose another --run-dir."
         ) from error
-    if left := os.pread(descriptor, 1000, 0).decode(errors="replace").strip():
-        _log.warning("The run in %s ended without closing it (%s); continuing.", path.parent, left)
-    now = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
-    os.ftruncate(descriptor, 0)
-    os.pwrite(descriptor, f"pid {os.getpid()} on {socket.gethostname()} since {now}\n".encode(), 0)
-    return descriptor
+    except OSError as error:
+        raise ConfigError(f"Cannot lock {path / 'lock'}: {error.strerror}.") from error
+    if before:
+        _log.warning("The run in %s ended without closing it (%s); continuing.", path, before)
+    return lock

@@ -16,25 +16,22 @@ A run's folder is named by its settings, not by the file, so files that share ru
 
 import dataclasses
 import itertools
-import re
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import yaml
 
-from jaxcam.config.presets import NAMES
+from jaxcam.config.names import ProtocolName
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, closest
 from jaxcam.files.jsonl import read_jsonl
 from jaxcam.files.paths import home
-from jaxcam.reports.arms import changes, identity, plain
 from jaxcam.results.protocol import missing, protocol_of
-from jaxcam.results.rows import Row
 from jaxcam.results.stats import Estimate, latest_rows, success_rate
-from jaxcam.runs.identity import resolve
+from jaxcam.runs.identity import full_name, resolve
 from jaxcam.runs.rollouts import read_rows, rows_file
 
 PYTHON = (sys.executable, "-m")
@@ -59,7 +56,7 @@ class Planned:
     folder: Path
     given: Mapping[str, Any]
     config: TrainConfig
-    protocol: str
+    protocol: ProtocolName
 
     @property
     def name(self) -> str:
@@ -152,10 +149,8 @@ def read_grid(path: str | Path) -> Grid:
         if not content.get(name):
             raise ConfigError(f"{where}: there is no '{name}'.")
     protocol = content.get("protocol", "one")
-    if protocol not in NAMES["protocol"]:
-        raise ConfigError(
-            f"{where}: unknown protocol '{protocol}'{closest(protocol, NAMES['protocol'])}"
-        )
+    if protocol not in (known := get_args(ProtocolName)):
+        raise ConfigError(f"{where}: unknown protocol '{protocol}'{closest(str(protocol), known)}")
     shared = _mapping(f"{where}, settings", content.get("settings") or {}, _FIELDS)
     runs: dict[Path, Planned] = {}
     for i, block in enumerate(content["runs"], start=1):
@@ -182,7 +177,7 @@ def progress_of(run: Planned) -> Progress:
     return Progress(step, asked - to_run, asked, success_rate(latest_rows(rows)))
 
 
-def _plan(where: str, runs_dir: Path, given: dict[str, Any], protocol: str) -> Planned:
+def _plan(where: str, runs_dir: Path, given: dict[str, Any], protocol: ProtocolName) -> Planned:
     if given.get("preset", "auto") == "auto":
         raise ConfigError(
             f"{where}: there is no 'preset'. A grid says which, since the machine that trains may "
@@ -194,10 +189,7 @@ def _plan(where: str, runs_dir: Path, given: dict[str, Any], protocol: str) -> P
         config = resolve(TrainConfig(**given), accelerator=False)
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from error
-    settings = identity(config) | {"engine": Row.engine}  # it trains nothing else
-    parts = [settings[name] for name in ("task", "scene", "policy", "preset", "conditioning")]
-    parts += [f"{k}{plain(v)}" for k, v in changes(settings).items()]
-    name = re.sub(r"[^A-Za-z0-9.=+-]+", "_", "-".join([*parts, str(config.seed)]))
+    name = full_name(config)
     planned = Planned(runs_dir / name, given, config, protocol)
     asked = protocol_of(config.policy).checkpoints
     kept = min(len(planned.steps), config.keep)

@@ -1,88 +1,165 @@
-"""Which run is this: its settings in full, its folder's name, and in what two runs differ."""
+"""Which run is this: its settings in full, its name, and what makes it another run.
 
-import dataclasses
+Two kinds of sameness are told apart. A run is *continued* with settings that leave each of its
+updates as it was (`differences`). Runs are *compared as one*, an arm of a report, when only their
+seeds and the way their updates were computed differ (`identity`).
+"""
+
+import functools
 import math
+import re
+from dataclasses import asdict, fields, replace
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
-from jaxcam.config.datasets import CollectConfig, RobomimicConfig
-from jaxcam.config.presets import PRESETS, USUAL
+from jaxcam.config.fields import fill, from_json
+from jaxcam.config.presets import PRESETS, Preset
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
+from jaxcam.results.rows import USUAL_WAY
+from jaxcam.sim import make_task
 
-C = TypeVar("C", TrainConfig, CollectConfig, RobomimicConfig)
-
+Settings = dict[str, Any]
+"""Settings by name, as JSON has them."""
 
 # Settings that leave every update of a run as it was; all others are part of a run's identity.
 FREE_TO_CHANGE = frozenset({
     "pairs", "engine", "ensemble", "data_dir", "dataset", "run_dir", "log_every", "eval_every",
     "save_every", "keep", "videos", "seeds", "log", "distributed",
 })  # fmt: skip
+# Of the settings that leave training as it was, these say what was trained on and how the
+# policy was run; seeds and how updates are computed differ between runs compared as one.
+_OWN = {"seed", "steps_per_call", "accumulate"}
+_NO_IDENTITY = (FREE_TO_CHANGE | _OWN) - {"dataset", "engine", "ensemble"}
+_NAMED = ("task", "scene", "policy", "preset", "conditioning")
+_INTERVALS = ("steps", "log_every", "eval_every", "save_every")
 
 
-def with_task(config: C) -> C:
-    """The config with the cameras of its task where they are unset: views, n and m."""
-    from jaxcam.sim import make_task
-
-    task = make_task(config.task)
-    values = {"views": task.views, "n": task.stair[0], "m": task.stair[1]}
-    unset = {k: v for k, v in values.items() if getattr(config, k, 0) is None}
-    return dataclasses.replace(config, **unset)
-
-
-def resolve(config: TrainConfig, *, accelerator: bool | None = None) -> TrainConfig:
-    """Give every unset value its preset's; a resolved config comes back as it is.
+def resolve(config: TrainConfig, *, accelerator: bool) -> TrainConfig:
+    """Give every setting that is left open its value; a resolved config comes back as it is.
 
     Args:
-        config: Settings, some of them perhaps unset.
-        accelerator: Whether there is a GPU or TPU; None asks JAX.
+        config: Settings, some of them perhaps None.
+        accelerator: Whether there is a GPU or TPU.
 
     Returns:
-        Settings without a `None`. Steps per call divide every interval of the run.
+        Settings without a None. Steps per call divide every interval of the run.
+
+    Raises:
+        ConfigError: The policy has no such preset, or given values do not go with its others.
     """
-    if all(getattr(config, f.name) is not None for f in dataclasses.fields(config)):
+    if None not in vars(config).values():
         return config
-    config = with_task(config)
-    if accelerator is None:
-        import jax
+    task, (name, preset) = make_task(config.task), _preset(config, accelerator)
+    n, m = task.stair
+    values = {k: v for k, v in vars(preset).items() if k not in ("warmup", "steps_per_call")}
+    config = fill(replace(config, preset=name), views=task.views, n=n, m=m, **values)
+    # XLA's CPU loops run convolutions many times slower.
+    at_most = preset.steps_per_call if accelerator else 1
+    config = fill(
+        config,
+        warmup=min(preset.warmup, config.steps // 10),
+        steps_per_call=math.gcd(at_most, *(getattr(config, k) for k in _INTERVALS)),
+    )
+    return fill(config, run_dir=default_folder(config))
 
-        accelerator = jax.default_backend() != "cpu"
-    preset = config.preset
-    if preset == "auto":
-        preset = "paper" if accelerator else "laptop"
-    if (config.policy, preset) not in PRESETS:
+
+def _preset(config: TrainConfig, accelerator: bool) -> tuple[str, Preset]:
+    """Name and values of the preset that a config means."""
+    name = config.preset
+    if name == "auto":
+        name = "paper" if accelerator else "laptop"
+    if (config.policy, name) not in PRESETS:
         known = ", ".join(name for policy, name in PRESETS if policy == config.policy)
-        raise ConfigError(f"{config.policy} has no preset '{preset}', only {known}.")
-    values = {**USUAL, **PRESETS[config.policy, preset], "preset": preset}
-    if not accelerator:
-        values["steps_per_call"] = 1  # XLA's CPU loops run convolutions many times slower.
-    given = {k: v for k, v in dataclasses.asdict(config).items() if v is not None}
-    values |= {k: v for k, v in given.items() if k != "preset"}
-    if config.warmup is None:
-        values["warmup"] = min(values["warmup"], values["steps"] // 10)
-    if config.steps_per_call is None:
-        intervals = (values[k] for k in ("steps", "log_every", "eval_every", "save_every"))
-        values["steps_per_call"] = math.gcd(values["steps_per_call"], *intervals)
-    if config.run_dir is None:
-        values["run_dir"] = _run_dir(values)
-    return TrainConfig(**values)
+        raise ConfigError(f"{config.policy} has no preset '{name}', only {known}.")
+    return name, PRESETS[config.policy, name]
 
 
-def _run_dir(values: dict[str, Any]) -> str:
-    """A folder's name: what runs are usually compared by, then what is not the task's default."""
-    parts = [values[k] for k in ("task", "scene", "policy", "preset", "conditioning")]
-    usual = with_task(TrainConfig(task=values["task"]))
-    if values["action_space"] != usual.action_space:
-        parts.append(values["action_space"])
-    if (values["n"], values["m"]) != (usual.n, usual.m):
-        parts.append(f"n{values['n']}m{values['m']}")
-    if values["views"] != usual.views:
-        parts.append(f"{values['views']}views")
-    if values["weights"]:
-        parts.append(Path(values["weights"]).stem)
-    if values["dataset"]:
-        parts.append(Path(values["dataset"]).stem)
-    return "runs/" + "-".join([*parts, str(values["seed"])])
+def read_config(folder: Path) -> TrainConfig:
+    """The resolved settings of a run, from its folder.
+
+    Args:
+        folder: Of the run.
+
+    Raises:
+        ConfigError: Its config.json is damaged.
+    """
+    config = from_json(TrainConfig, (folder / "config.json").read_text("utf-8"))
+    # Settings that are newer than the run: it was made with their preset's values.
+    return resolve(config, accelerator=False)
+
+
+def default_folder(config: TrainConfig) -> str:
+    """The folder of a run that is given none.
+
+    Its name has what runs are usually compared by, then what is not the task's default.
+
+    Args:
+        config: Settings; all but `run_dir` have values.
+    """
+    task = make_task(config.task)
+    parts = [getattr(config, name) for name in _NAMED]
+    if config.action_space != TrainConfig.action_space:
+        parts.append(config.action_space)
+    if (config.n, config.m) != task.stair:
+        parts.append(f"n{config.n}m{config.m}")
+    if config.views != task.views:
+        parts.append(f"{config.views}views")
+    parts += [Path(file).stem for file in (config.weights, config.dataset) if file]
+    return "runs/" + "-".join([*parts, str(config.seed)])
+
+
+def full_name(config: TrainConfig) -> str:
+    """A name that tells a run from all others: the preset it starts from and each change to it.
+
+    Args:
+        config: Resolved settings.
+    """
+    settings = identity(config) | {"engine": USUAL_WAY["engine"]}  # it trains nothing else
+    parts = [settings[name] for name in _NAMED]
+    parts += [f"{k}{plain(v)}" for k, v in changes(settings).items()]
+    return re.sub(r"[^A-Za-z0-9.=+-]+", "_", "-".join([*parts, str(config.seed)]))
+
+
+def identity(config: TrainConfig) -> Settings:
+    """The settings that runs of one arm share, as JSON has them.
+
+    Args:
+        config: Resolved settings of a run.
+    """
+    values = {k: v for k, v in asdict(config).items() if k not in _NO_IDENTITY}
+    values["model"] = list(config.model)
+    values["dataset"] = Path(config.dataset).stem
+    values["weights"] = Path(config.weights).stem
+    return values
+
+
+def changes(settings: Settings) -> Settings:
+    """The settings that are not what their policy's preset and their task give.
+
+    Args:
+        settings: From `identity`.
+    """
+    named = tuple(settings[name] for name in _NAMED)
+    usual, so_long = _usual(*named), _usual(*named, steps=settings["steps"])
+    # What follows from the number of updates, such as the warm-up, is no change of its own.
+    return {
+        k: v for k, v in settings.items()
+        if v is not None and v != usual[k] and (k == "steps" or v != so_long[k])
+    }  # fmt: skip
+
+
+@functools.lru_cache
+def _usual(*named: str, steps: int | None = None) -> Settings:
+    config = TrainConfig(**dict(zip(_NAMED, named, strict=True)), steps=steps)  # pyright: ignore
+    return identity(resolve(config, accelerator=False)) | USUAL_WAY
+
+
+def plain(value: Any) -> str:
+    """A setting's value as people write it."""
+    if isinstance(value, list | tuple):
+        return " ".join(map(str, value)) or "–"
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 class Difference(NamedTuple):
@@ -103,5 +180,5 @@ def differences(old: TrainConfig, new: TrainConfig) -> list[Difference]:
     free = FREE_TO_CHANGE
     if old.schedule == new.schedule == "constant":
         free |= {"steps"}  # A constant rate does not know how long the run is.
-    pairs = ((f.name, getattr(old, f.name), getattr(new, f.name)) for f in dataclasses.fields(old))
+    pairs = ((f.name, getattr(old, f.name), getattr(new, f.name)) for f in fields(old))
     return [Difference(name, a, b, name not in free) for name, a, b in pairs if a != b]

@@ -57,7 +57,7 @@ class Job:
 
     def checkpoint(self) -> Any:
         """What submitit calls when a cluster takes the machine: save, and queue the rest again."""
-        from submitit.helpers import DelayedSubmission
+        from submitit.helpers import DelayedSubmission  # of an optional extra
 
         self.stop()
         if self._child is not None:
@@ -131,7 +131,7 @@ class Submitit:
 
     def __init__(self, cluster: str, folder: Path, parameters: Mapping[str, Any]) -> None:
         try:
-            import submitit
+            import submitit  # an optional extra
         except ModuleNotFoundError as error:
             raise ConfigError(
                 "Clusters need submitit: pip install 'jaxcam[sweep]', or leave out --cluster."

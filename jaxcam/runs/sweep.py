@@ -135,12 +135,12 @@ def _terminated() -> Iterator[None]:
 def _shown(console: Console, grid: Grid, entries: Sequence[Entry]) -> Iterator[Callable[[], None]]:
     """A live table on a terminal; elsewhere a line for each change."""
     if not console.is_terminal:
-        told: dict[str, tuple[str, int]] = {}
+        shown: dict[str, tuple[str, int]] = {}
 
         def say() -> None:
             for e in entries:
-                if told.get(e.run.name) != (e.state, e.starts):
-                    told[e.run.name] = e.state, e.starts
+                if shown.get(e.run.name) != (e.state, e.starts):
+                    shown[e.run.name] = e.state, e.starts
                     console.print(f"{e.state:>8}  {e.run.name}  {_result(e)} {e.reason}".rstrip(),
                                   soft_wrap=True, markup=False, highlight=False)  # fmt: skip
 

@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
-from jaxcam.config.presets import NAMES
+from jaxcam.config.names import EngineName, TaskName
 from jaxcam.errors import ConfigError, closest
 
 if TYPE_CHECKING:
@@ -19,8 +19,8 @@ def make_task(name: str) -> "Task":
     Raises:
         ConfigError: if there is none; the message names the closest.
     """
-    if name not in NAMES["task"]:
-        raise ConfigError(f"Unknown task {name!r}{closest(name, NAMES['task'])}")
+    if name not in get_args(TaskName):
+        raise ConfigError(f"Unknown task {name!r}{closest(name, get_args(TaskName))}")
     module = vars(import_module(f"jaxcam.sim.tasks.{name}"))
     return next(x for x in module.values() if isinstance(x, type) and vars(x).get("name") == name)()
 
@@ -35,8 +35,8 @@ def engine_name(name: str, scene: "World") -> str:
     Raises:
         ConfigError: if there is no such engine, or it cannot step this world.
     """
-    if name not in NAMES["engine"]:
-        raise ConfigError(f"Unknown engine {name!r}{closest(name, NAMES['engine'])}")
+    if name not in get_args(EngineName):
+        raise ConfigError(f"Unknown engine {name!r}{closest(name, get_args(EngineName))}")
     if name != "auto":
         if name not in scene.engines:
             raise ConfigError(

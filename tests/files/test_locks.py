@@ -1,3 +1,7 @@
+"""Locks: who waits, who is told, and what frees them."""
+
+import io
+import os
 import subprocess
 import sys
 import time
@@ -6,12 +10,12 @@ import pytest
 from rich.console import Console
 
 from jaxcam.errors import DatasetError
-from jaxcam.files.locks import exclusive
+from jaxcam.files.locks import InUseError, NamedLock, exclusive
 
 HOLD = """
 import sys, time
 from pathlib import Path
-from jaxcam.locks import exclusive
+from jaxcam.files.locks import exclusive
 with exclusive(Path(sys.argv[1])):
     print("in", flush=True)
     time.sleep(float(sys.argv[2]))
@@ -35,6 +39,14 @@ def test_a_second_process_waits_and_finds_what_the_first_made(tmp_path):
         process.wait(5)
 
 
+def test_who_waits_is_told(tmp_path):
+    path, words = tmp_path / "file", io.StringIO()
+    with hold(path, 0.5), exclusive(path, Console(file=words)):
+        assert words.getvalue() == "Waiting for the process that is making file.\n"
+    with exclusive(path, Console(file=words)):
+        assert words.getvalue().count("Waiting") == 1
+
+
 def test_a_killed_holder_frees_the_lock(tmp_path):
     path = tmp_path / "file"
     with hold(path, 60) as process:
@@ -52,3 +64,36 @@ def test_a_folder_that_cannot_be_made(tmp_path):
         exclusive(tmp_path / "file" / "folder" / "data"),
     ):
         pass
+
+
+def test_a_folder_that_may_not_be_written_to(tmp_path):
+    """Root gives its rights up for the test."""
+    folder = tmp_path / "read-only"
+    folder.mkdir(mode=0o555)
+    was_root = os.geteuid() == 0
+    if was_root:
+        os.seteuid(65534)
+    try:
+        with (
+            pytest.raises(DatasetError, match=r"Cannot write to .*read-only: Permission denied"),
+            exclusive(folder / "data"),
+        ):
+            pass
+    finally:
+        if was_root:
+            os.seteuid(0)
+
+
+def test_a_named_lock_says_who_has_it_and_who_left_it(tmp_path):
+    path = tmp_path / "lock"
+    first, second = NamedLock(path), NamedLock(path)
+    assert first.take() == ""
+    with pytest.raises(InUseError, match=f"pid {os.getpid()} on ") as refused:
+        second.take()
+    assert refused.value.holder == path.read_text().strip()  # and it is still there
+    first.free()
+    first.free()
+    assert path.read_text() == ""
+    path.write_text("pid 7 on far\n")  # as a killed process leaves it
+    assert second.take() == "pid 7 on far"
+    second.free()

@@ -20,7 +20,7 @@ from jaxcam.data.samples import Layout
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.interop.robomimic import import_demos, success_of
 from jaxcam.interop.robosuite_model import read_controller, read_origin
-from jaxcam.pipeline import _dataset, _like_its_dataset, train
+from jaxcam.pipeline import like_its_dataset, train, training_data
 from jaxcam.rays.rotations import matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.runs.identity import resolve
 from jaxcam.sim.actions import encode
@@ -331,13 +331,13 @@ def test_delta_actions_of_an_imported_demonstration_are_small(files):
 def test_training_takes_a_dataset_and_its_numbers(tmp_path, files, monkeypatch):
     demos = imported(files["1.5"], validation=1, n=2, m=2)
     config = TrainConfig(dataset=str(demos.path), resolution=16, run_dir=str(tmp_path / "run"))
-    like = _like_its_dataset(config)
+    like = like_its_dataset(config)
     assert (like.demos, like.validation, like.n, like.m) == (1, 1, 2, 2)
     layout = Layout.of(demos)
     total = layout.total
     black = Frames(np.zeros((total, 16, 16, 3), np.uint8), layout, np.ones(total, bool))
-    monkeypatch.setattr("jaxcam.data.pictures.load_frames", lambda *_: black)
-    data = _dataset([resolve(like)], None)
+    monkeypatch.setattr("jaxcam.pipeline.load_frames", lambda *_: black)
+    data = training_data([resolve(like, accelerator=False)], None)
     assert data.lengths.tolist() == [d.length for d in demos.train + demos.valid]
     assert [len(w) for w in data.windows] == [2, 1]
     assert demos.fingerprint in data.fingerprint

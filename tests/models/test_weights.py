@@ -19,7 +19,7 @@ from jaxcam.models.smolvla import SMOLVLA_PRESETS
 from jaxcam.models.weights.load import Weights, load, read_weights, record_weights, show
 from jaxcam.models.weights.names import MAPS, recognise
 from jaxcam.models.weights.torch_files import read_torch
-from jaxcam.pipeline import _checked_weights, train
+from jaxcam.pipeline import starting_weights, train
 from jaxcam.runs.identity import resolve
 
 LONG = f"tokens={(1,) * 49}"
@@ -269,9 +269,9 @@ def test_weights_that_fit_are_recorded_and_only_read_for_a_new_run(tmp_path):
     config = resolve(config, accelerator=False)
     assert "-resnet-" in config.run_dir
     config = replace(config, run_dir=str(tmp_path))
-    weights = _checked_weights([config])
+    weights = starting_weights([config])
     record_weights(tmp_path, weights)
     record = json.loads((tmp_path / "weights.json").read_text())
     assert record == {"file": str(file), "kind": weights.kind.title, "sha256": weights.sha256}
     (tmp_path / "checkpoints/1").mkdir(parents=True)
-    assert _checked_weights([config]) is None
+    assert starting_weights([config]) is None

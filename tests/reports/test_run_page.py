@@ -11,10 +11,10 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-import tyro
 from web_page import Page
 
 from jaxcam.config.fields import to_json
+from jaxcam.config.flags import parse
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.reports import run_figures as plots
@@ -149,7 +149,7 @@ def test_reproduce_command_gives_the_same_settings(accelerator):
     )
     words = reproduce_command(config)
     assert "--batch" not in words  # the preset's own values go without saying
-    again = resolve(tyro.cli(TrainConfig, args=shlex.split(words)[3:]), accelerator=accelerator)
+    again = resolve(parse(TrainConfig, shlex.split(words)[3:]), accelerator=accelerator)
     assert again == config
 
 

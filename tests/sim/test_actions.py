@@ -1,11 +1,13 @@
 """Four action spaces: there and back, chunk by chunk, and executed in the simulator."""
 
+from typing import get_args
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxcam.config.presets import NAMES
+from jaxcam.config.names import ActionSpace
 from jaxcam.data.pictures import intrinsics
 from jaxcam.rays.rotations import matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.sim.actions import (
@@ -22,7 +24,7 @@ from jaxcam.sim.rollout import rollout
 from jaxcam.sim.task import starts
 
 LENGTH = 24
-SPACES = NAMES["action_space"]
+SPACES = get_args(ActionSpace)
 
 
 def trajectory(space, rng):

@@ -242,7 +242,7 @@ def test_other_devices_are_reported(singles, tmp_path, monkeypatch, caplog):
     shutil.copytree(singles / "1", tmp_path / "run")
     known = jaxcam.runs.environment.environment()
     monkeypatch.setattr(
-        jaxcam.runs.folder, "environment", lambda: known | {"devices": "gpu A, gpu A"}
+        jaxcam.runs.environment, "environment", lambda: known | {"devices": "gpu A, gpu A"}
     )
     fit(settings(tmp_path / "run", seed=1))
     assert "not bit-exact: now devices gpu A, gpu A" in caplog.text

@@ -6,11 +6,11 @@ Nothing here imports PyTorch or SAPIEN: those live in child processes (`jaxcam.s
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, get_args
 
 import numpy as np
 
-from jaxcam.config.presets import NAMES
+from jaxcam.config.names import SceneName
 from jaxcam.errors import ConfigError, closest
 from jaxcam.rays.rotations import Array, array_namespace, matrix_from_rotvec
 from jaxcam.sim.controllers import CONTROL_HZ
@@ -143,8 +143,8 @@ class ManiSkillTask(Task):
 
 @functools.cache
 def _world(task: type[ManiSkillTask], name: str) -> SapienWorld:
-    if name not in NAMES["scene"]:
-        raise ConfigError(f"Unknown scene {name!r}{closest(name, NAMES['scene'])}.")
+    if name not in get_args(SceneName):
+        raise ConfigError(f"Unknown scene {name!r}{closest(name, get_args(SceneName))}.")
     objects = tuple(task().objects())
     x, y, yaw = task.base
     world_from_base = np.eye(4)

@@ -1,0 +1,37 @@
+"""The settings that are names: each a type of all the names there are."""
+
+from typing import Any, Literal, get_args, get_origin
+
+TaskName = Literal["lift", "lift_upright", "pick_place_can", "push", "roll_ball", "square"]
+"""The files of `jaxcam/sim/tasks`."""
+SceneName = Literal["fixed", "randomized"]
+PolicyName = Literal["act", "diffusion", "smolvla"]
+PresetName = Literal["auto", "laptop", "paper", "lerobot", "original", "tiny"]
+Conditioning = Literal["none", "token", "early", "late", "keypoints"]
+ActionSpace = Literal[
+    "eef_delta", "eef_abs", "joint_delta", "joint_abs", "eef_delta_componentwise"
+]  # fmt: skip
+CommandSource = Literal["commands", "states"]
+ScheduleName = Literal["constant", "cosine"]
+OptimizerName = Literal["adamw", "adam"]
+Precision = Literal["float32", "bfloat16"]
+LoggerName = Literal["tensorboard", "wandb"]
+Stem = Literal["keep", "new"]
+Split = Literal["test", "validation"]
+ProtocolName = Literal["one", "paper"]
+Cluster = Literal["none", "slurm", "local"]
+EngineName = Literal["auto", "native", "mjx-jax", "mjx-warp", "sapien", "sapien-gpu"]
+
+
+def names_of(hint: Any) -> tuple[str, ...]:
+    """The names that values of a type may be.
+
+    Args:
+        hint: A `Literal` of names, also one that may be None or that there may be several of.
+
+    Returns:
+        All of them; none if the type is no such one.
+    """
+    if get_origin(hint) is Literal:
+        return get_args(hint)
+    return next((names for part in get_args(hint) if (names := names_of(part))), ())

@@ -1,0 +1,73 @@
+"""The command line of settings: values, choices, and answers to typos."""
+
+import dataclasses
+import re
+import subprocess
+import sys
+import time
+
+import pytest
+
+from jaxcam.config.commands import EvaluateConfig
+from jaxcam.config.datasets import ReplayConfig
+from jaxcam.config.flags import parse
+from jaxcam.config.train import TrainConfig
+
+
+def test_flags():
+    flags = "--task lift --scene fixed --policy act --conditioning late --action-space joint_abs"
+    flags += " --views 2 --seed 3 --preset paper --model width=8 layers=2 --lr 1e-4"
+    assert parse(TrainConfig, flags.split()) == TrainConfig(
+        scene="fixed", conditioning="late", action_space="joint_abs", views=2, seed=3,
+        preset="paper", model=("width=8", "layers=2"), lr=1e-4,
+    )  # fmt: skip
+    spaces = parse(ReplayConfig, ["file", "--action-space", "eef_abs", "joint_abs"])
+    assert spaces == ReplayConfig("file", action_space=("eef_abs", "joint_abs"))
+    evaluate = parse(EvaluateConfig, ["runs/a", "--pairs", "4"])
+    assert evaluate == EvaluateConfig(("runs/a",), pairs=4)
+    assert parse(TrainConfig, []) == TrainConfig()
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        (["--task", "lfit"], "did you mean 'lift'"),
+        (["--conditioning", "lat"], "did you mean 'late'"),
+        (["--log", "wandb", "tensorbord"], "did you mean 'tensorboard'"),
+        (["--sed", "1"], "--seed INT"),
+        (["--steps", "many"], "Error parsing --steps"),
+    ],
+)
+def test_bad_flags_exit_with_2_and_help(flags, message, capsys):
+    with pytest.raises(SystemExit) as stop:
+        parse(TrainConfig, flags)
+    assert stop.value.code == 2
+    shown = capsys.readouterr().err
+    assert message in " ".join(shown.split())
+    assert "For full helptext" in shown
+    assert "Traceback" not in shown
+
+
+def test_help_shows_choices_and_presets(capsys):
+    with pytest.raises(SystemExit) as stop:
+        parse(TrainConfig, ["--help"])
+    assert stop.value.code == 0
+    shown = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert "--conditioning {none,token,early,late,keypoints}" in shown
+    assert "Learning rate at its peak. (default: the preset's)" in shown
+    assert "None" not in shown
+    for field in dataclasses.fields(TrainConfig):
+        assert re.search(rf"--{field.name.replace('_', '-')}[ ,]", shown)
+
+
+def test_help_is_fast_and_imports_no_jax():
+    script = (
+        "import sys, jaxcam.train as t\n"
+        "try: t.COMMAND.run(['--help'])\n"
+        "finally: print({'jax', 'flax', 'numpy', 'mujoco'} & set(sys.modules), file=sys.stderr)"
+    )
+    start = time.perf_counter()
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert time.perf_counter() - start < 3
+    assert done.returncode == 0
+    assert done.stderr.strip() == "set()"

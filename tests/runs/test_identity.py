@@ -1,0 +1,128 @@
+"""Which run it is: settings in full, names, and what makes another run."""
+
+import dataclasses
+
+import pytest
+
+from jaxcam.config.fields import to_json
+from jaxcam.config.presets import PRESETS
+from jaxcam.config.train import TrainConfig
+from jaxcam.errors import ConfigError
+from jaxcam.runs.identity import (
+    FREE_TO_CHANGE,
+    changes,
+    differences,
+    full_name,
+    identity,
+    read_config,
+    resolve,
+)
+
+LAPTOP = resolve(TrainConfig(), accelerator=False)
+
+
+PAPER = resolve(TrainConfig(), accelerator=True)
+
+
+def test_auto_follows_the_hardware():
+    assert LAPTOP.preset == "laptop"
+    assert PAPER.preset == "paper"
+    assert resolve(TrainConfig(preset="paper"), accelerator=False).preset == "paper"
+
+
+@pytest.mark.parametrize("accelerator", [True, False])
+@pytest.mark.parametrize("key", list(PRESETS))
+def test_resolve_leaves_nothing_open_and_is_idempotent(key, accelerator):
+    policy, preset = key
+    config = resolve(TrainConfig(policy=policy, preset=preset), accelerator=accelerator)
+    assert None not in dataclasses.asdict(config).values()
+    assert resolve(config, accelerator=not accelerator) is config
+
+
+def test_given_values_win_over_the_preset():
+    config = resolve(TrainConfig(lr=0.5, conditioning="none", run_dir="x"), accelerator=False)
+    assert (config.lr, config.conditioning, config.run_dir) == (0.5, "none", "x")
+    assert config.batch == LAPTOP.batch
+
+
+def test_run_folder_is_named_by_what_the_run_is():
+    assert LAPTOP.run_dir == f"runs/lift-randomized-act-laptop-{LAPTOP.conditioning}-0"
+    other = resolve(TrainConfig(conditioning="none", seed=2), accelerator=False)
+    assert other.run_dir == "runs/lift-randomized-act-laptop-none-2"
+
+
+def test_steps_per_call_divide_the_run():
+    assert LAPTOP.steps_per_call == 1
+    assert PAPER.steps_per_call == 10
+    assert resolve(TrainConfig(steps=6), accelerator=True).steps_per_call == 2
+    with pytest.raises(
+        ConfigError, match=r"steps \(6\) must be a multiple of steps_per_call \(4\)"
+    ):
+        resolve(TrainConfig(steps=6, steps_per_call=4), accelerator=True)
+
+
+def test_short_runs_get_a_short_warmup():
+    assert resolve(TrainConfig(steps=40), accelerator=False).warmup == 4
+    with pytest.raises(ConfigError, match=r"warmup \(50\) must be shorter than steps \(40\)"):
+        TrainConfig(steps=40, warmup=50)
+
+
+def test_differences_say_what_makes_another_run():
+    other = dataclasses.replace(LAPTOP, lr=0.5, pairs=7)
+    found = differences(LAPTOP, other)
+    assert [(d.field, d.new, d.changes_program) for d in found] == [
+        ("lr", 0.5, True), ("pairs", 7, False)
+    ]  # fmt: skip
+    assert str(found[1]) == "pairs: 50 -> 7"
+    assert differences(LAPTOP, LAPTOP) == []
+    assert {f.name for f in dataclasses.fields(TrainConfig)} > FREE_TO_CHANGE
+
+
+def test_a_run_may_be_prolonged_only_if_its_rate_is_constant():
+    def longer(config):
+        (found,) = differences(config, dataclasses.replace(config, steps=2 * config.steps))
+        return found.changes_program
+
+    assert longer(LAPTOP)
+    assert not longer(PAPER)
+
+
+def changed(**changes_):
+    return resolve(TrainConfig(**changes_), accelerator=False)
+
+
+def test_what_is_not_the_default_is_in_the_folders_name():
+    config = changed(action_space="joint_abs", n=5, m=2, views=2, weights="a/r18.pt", seed=3)
+    kind = "lift-randomized-act-laptop-keypoints"
+    assert config.run_dir == f"runs/{kind}-joint_abs-n5m2-2views-r18-3"
+
+
+def test_a_preset_that_the_policy_lacks_is_refused():
+    with pytest.raises(ConfigError, match="act has no preset 'tiny', only paper, lerobot"):
+        changed(preset="tiny")
+
+
+def test_runs_compared_as_one_differ_in_seed_and_in_how_updates_are_computed_alone():
+    same = identity(LAPTOP)
+    for free in ({"seed": 4}, {"accumulate": 2}, {"keep": 3}, {"data_dir": "x"}, {"pairs": 9}):
+        assert identity(changed(**free)) == same
+    for other in ({"lr": 0.5}, {"dataset": "x/mine.hdf5"}, {"ensemble": 0.01}, {"demos": 7}):
+        assert identity(changed(**other)) != same
+
+
+def test_changes_are_against_the_preset_and_do_not_repeat_what_follows():
+    assert changes(identity(LAPTOP) | {"engine": "native"}) == {}
+    shorter = identity(changed(steps=100, lr=0.5)) | {"engine": "native"}
+    assert changes(shorter) == {"steps": 100, "lr": 0.5}  # the shorter warm-up follows
+
+
+def test_full_names_tell_runs_apart_in_words_of_a_folder():
+    name = full_name(changed(model=("width=64", "heads=2"), lr=0.0005, seed=1))
+    assert name == "lift-randomized-act-laptop-keypoints-lr0.0005-modelwidth=64_heads=2-1"
+    assert full_name(LAPTOP) == "lift-randomized-act-laptop-keypoints-0"
+
+
+def test_settings_newer_than_a_run_are_its_presets(tmp_path):
+    old = dataclasses.replace(LAPTOP, beta2=None)
+    (tmp_path / "config.json").write_text(to_json(old))
+    assert read_config(tmp_path) == LAPTOP

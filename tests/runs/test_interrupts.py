@@ -1,0 +1,60 @@
+"""How a run is stopped: once asks, twice ends it."""
+
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+
+import pytest
+
+from jaxcam.runs.interrupts import interrupts
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_first_signal_is_a_flag(number, code, capfd):
+    before = signal.getsignal(number)
+    with interrupts() as interrupt:
+        assert not interrupt
+        assert interrupt.exit_code == 0
+        signal.raise_signal(number)
+        assert interrupt
+        assert interrupt.exit_code == code
+    assert signal.getsignal(number) is before
+    assert "Stopping after this update" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("second", [signal.SIGINT, signal.SIGTERM])
+def test_second_signal_stops_at_once(second):
+    script = textwrap.dedent("""
+        import time
+        from jaxcam.runs.interrupts import interrupts
+        with interrupts() as interrupt:
+            print("ready", flush=True)
+            while not interrupt: time.sleep(0.01)
+            print("saving", flush=True)
+            time.sleep(60)
+    """)
+    command = [sys.executable, "-c", script]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
+        assert process.stdout.readline() == b"ready\n"
+        process.send_signal(signal.SIGINT)
+        assert process.stdout.readline() == b"saving\n"
+        process.send_signal(second)
+        assert process.wait(10) == -second
+
+
+def test_signal_handlers_need_the_main_thread():
+    caught = []
+
+    def enter():
+        try:
+            with interrupts():
+                pass
+        except ValueError as error:
+            caught.append(error)
+
+    thread = threading.Thread(target=enter)
+    thread.start()
+    thread.join()
+    assert caught
