@@ -4,6 +4,7 @@ Loads nothing but JAX and NumPy, so that any project can use it on its own.
 """
 
 from jaxcam.rays._camera import Camera
+from jaxcam.rays._checks import ROTATION_TOLERANCE, check_pose
 from jaxcam.rays._convert import (
     from_maniskill,
     from_maniskill_gl,
@@ -35,8 +36,10 @@ from jaxcam.rays._poses import (
 
 __all__ = [
     "POSE_RANGES",
+    "ROTATION_TOLERANCE",
     "Camera",
     "PoseRanges",
+    "check_pose",
     "from_maniskill",
     "from_maniskill_gl",
     "from_mujoco",

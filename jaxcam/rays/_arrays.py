@@ -12,7 +12,7 @@ Array = Any
 """A NumPy or JAX array, or anything `numpy.asarray` takes."""
 
 
-def namespace(*arrays: Array) -> ModuleType:
+def array_namespace(*arrays: Array) -> ModuleType:
     """`jax.numpy` when any array is JAX's (tracers included), else `numpy`."""
     return jnp if any(isinstance(a, jax.Array) for a in arrays) else np
 
@@ -25,14 +25,14 @@ def as_float(a: Array, xp: ModuleType) -> Array:
 
 def matmul(a: Array, b: Array) -> Array:
     """Matrix product; never in TF32 or bfloat16, which would bend rays by a pixel."""
-    if namespace(a, b) is np:
+    if array_namespace(a, b) is np:
         return np.matmul(a, b)
     return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
 
 
 def rigid(rotation: Array, position: Array) -> Array:
     """4x4 transforms from rotations `[..., 3, 3]` and positions `[..., 3]`."""
-    xp = namespace(rotation, position)
+    xp = array_namespace(rotation, position)
     batch = np.broadcast_shapes(rotation.shape[:-2], position.shape[:-1])
     rotation = xp.broadcast_to(rotation, (*batch, 3, 3))
     position = xp.broadcast_to(position, (*batch, 3))[..., None]

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from jaxcam.errors import CameraError
-from jaxcam.rays._arrays import Array, as_float, is_concrete, matmul, namespace
+from jaxcam.rays._arrays import Array, array_namespace, as_float, is_concrete, matmul
 from jaxcam.rays._checks import check_camera
 from jaxcam.rays._convert import opengl_from_opencv
 from jaxcam.rays._plucker import Convention, rays
@@ -51,7 +51,7 @@ class Camera:
             width: Image columns.
             world_from_camera: Pose; the identity when left out.
         """
-        xp = namespace(fovy)
+        xp = array_namespace(fovy)
         fovy = as_float(fovy, xp)
         if is_concrete(fovy) and not (np.asarray(fovy > 0) & np.asarray(fovy < np.pi)).all():
             raise CameraError(
@@ -79,7 +79,7 @@ class Camera:
     @property
     def fovy(self) -> Array:
         """Vertical field of view in radians, for a principal point in the middle row."""
-        xp = namespace(self.K)
+        xp = array_namespace(self.K)
         return 2 * xp.arctan(0.5 * self.height / self.K[..., 1, 1])
 
     def project(self, points: Array) -> tuple[Array, Array]:
@@ -92,7 +92,7 @@ class Camera:
             Pixel coordinates (u, v) `[*batch, ..., 2]` and planar depth `[*batch, ...]`, which is
             negative for points behind the camera; their (u, v) mean nothing.
         """
-        xp = namespace(self.K, self.world_from_camera, points)
+        xp = array_namespace(self.K, self.world_from_camera, points)
         points = as_float(points, xp)
         K, pose = self._spread(xp, points.ndim - 1)
         p = matmul((points - pose[..., :3, 3])[..., None, :], pose[..., :3, :3])[..., 0, :]
@@ -114,7 +114,7 @@ class Camera:
         Returns:
             Points `[*batch, ..., 3]`.
         """
-        xp = namespace(self.K, self.world_from_camera, depth, pixels)
+        xp = array_namespace(self.K, self.world_from_camera, depth, pixels)
         depth = as_float(depth, xp)
         if pixels is None:
             if depth.shape[-2:] != (self.height, self.width):
@@ -144,7 +144,7 @@ class Camera:
             height: Rows of the crop.
             width: Columns of the crop.
         """
-        xp = namespace(self.K, top, left)
+        xp = array_namespace(self.K, top, left)
         top, left = as_float(top, xp), as_float(left, xp)
         zero = xp.zeros_like(top + left)
         shift = xp.stack([left + zero, top + zero, zero], axis=-1)
@@ -164,7 +164,7 @@ class Camera:
         `cx` becomes `width - cx`. Each pixel keeps the ray it had, so the ray-map of the flipped
         camera is the flipped ray-map. (A pose mirrored instead would describe another world.)
         """
-        xp = namespace(self.K)
+        xp = array_namespace(self.K)
         K = self._scale_rows([-1.0, 1.0, 1.0])
         offset = np.array([[0, 0, self.width], [0, 0, 0], [0, 0, 0]])
         return replace(self, K=K + xp.asarray(offset, K.dtype))
@@ -209,7 +209,7 @@ class Camera:
         )
 
     def _scale_rows(self, scale: list[float]) -> Array:
-        xp = namespace(self.K)
+        xp = array_namespace(self.K)
         K = as_float(self.K, xp)
         return K * xp.asarray(scale, K.dtype)[:, None]
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxcam.errors import CameraError, ConfigError
-from jaxcam.rays._arrays import Array, as_float, is_concrete, matmul, namespace, rigid
+from jaxcam.rays._arrays import Array, array_namespace, as_float, is_concrete, matmul, rigid
 
 Interval = tuple[float, float]
 
@@ -98,7 +98,7 @@ def look_at(position: Array, target: Array, up: Array = (0.0, 0.0, 1.0)) -> Arra
     Returns:
         `world_from_camera` `[..., 4, 4]` in OpenCV axes.
     """
-    xp = namespace(position, target)
+    xp = array_namespace(position, target)
     position, target = as_float(position, xp), as_float(target, xp)
     forward = target - position
     forward = forward / xp.linalg.norm(forward, axis=-1, keepdims=True)
@@ -172,7 +172,7 @@ def spherical(world_from_camera: Array, centre: Array) -> tuple[Array, Array, Ar
     Returns:
         Three arrays `[...]`: azimuth in (-pi, pi], elevation in ±pi/2, distance.
     """
-    xp = namespace(world_from_camera, centre)
+    xp = array_namespace(world_from_camera, centre)
     pose = as_float(world_from_camera, xp)
     x, y, z = xp.moveaxis(pose[..., :3, 3] - xp.asarray(centre, pose.dtype), -1, 0)
     flat = xp.hypot(x, y)

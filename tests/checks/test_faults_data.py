@@ -17,7 +17,7 @@ from jaxcam.data import pictures as frames_module
 from jaxcam.data.demos import read_demos
 from jaxcam.data.pictures import load_frames
 from jaxcam.errors import DatasetError, SimError
-from jaxcam.rays._checks import ROTATION_TOLERANCE
+from jaxcam.rays import ROTATION_TOLERANCE
 from jaxcam.sim import make_task
 
 
