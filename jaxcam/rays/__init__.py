@@ -1,4 +1,4 @@
-"""Cameras as rays: Plücker maps, camera records, conversions, and pose sampling.
+"""Cameras as rays: Plücker maps, camera records, lenses, conversions, and pose sampling.
 
 Loads nothing but JAX and NumPy, so that any project can use it on its own.
 """
@@ -22,7 +22,7 @@ from jaxcam.rays._convert import (
     to_mujoco_quat,
     write_pose_file,
 )
-from jaxcam.rays._plucker import plucker
+from jaxcam.rays._plucker import patch_rays, plucker
 from jaxcam.rays._poses import (
     POSE_RANGES,
     PoseRanges,
@@ -50,6 +50,7 @@ __all__ = [
     "opencv_from_opengl",
     "opencv_from_sapien",
     "opengl_from_opencv",
+    "patch_rays",
     "perturb",
     "plucker",
     "read_pose_file",

@@ -1,4 +1,6 @@
 """NumPy in, NumPy out; JAX in, JAX out: helpers shared by the files of this package."""
+# JAX's own annotations are partial.
+# pyright: reportUnknownMemberType=false
 
 from types import ModuleType
 from typing import Any
@@ -7,6 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+
+from jaxcam.errors import CameraError
 
 Array = Any
 """A NumPy or JAX array, or anything `numpy.asarray` takes."""
@@ -18,9 +22,42 @@ def array_namespace(*arrays: Array) -> ModuleType:
 
 
 def as_float(a: Array, xp: ModuleType) -> Array:
-    """`a` as an array of `xp`; integers become floats, float64 stays float64 under NumPy."""
-    a = xp.asarray(a)
-    return a if xp.issubdtype(a.dtype, xp.floating) else a.astype(xp.float32)
+    """`a` as an array of `xp`; integers become float32, floats keep what precision `xp` has.
+
+    Raises:
+        CameraError: If a finite number is too large for the precision it would have.
+    """
+    given, a = a, xp.asarray(a)
+    a = a if xp.issubdtype(a.dtype, xp.floating) else a.astype(xp.float32)
+    if xp is jnp and not isinstance(given, jax.Array):
+        given = np.asarray(given)
+        largest = np.array(jnp.finfo(a.dtype).max, np.float64)
+        if given.dtype.itemsize > a.dtype.itemsize and np.any(
+            np.isfinite(given) & (np.abs(given) > largest)
+        ):
+            raise CameraError(
+                f"a number of size {np.abs(given[np.isfinite(given)]).max():g} does not fit "
+                f"{a.dtype}. Likely cause: uninitialised memory, or a unit of length too small."
+            )
+    return a
+
+
+def check_size(what: str, values: Array, largest: float) -> None:
+    """Raise `CameraError` if a finite number is larger than can be computed with.
+
+    Args:
+        what: What the numbers are, for the message.
+        values: Any shape; looked at where they are concrete.
+        largest: Largest accepted size. Numbers that are not finite pass: they are visible.
+    """
+    if not is_concrete(values):
+        return
+    size = np.abs(np.asarray(values, np.float64))
+    if np.any(np.isfinite(size) & (size > largest)):
+        raise CameraError(
+            f"{what}: expected numbers up to {largest:g}, got {size[np.isfinite(size)].max():g}. "
+            "Likely cause: uninitialised memory, or a unit of length too small."
+        )
 
 
 def matmul(a: Array, b: Array) -> Array:
