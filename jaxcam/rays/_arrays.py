@@ -27,7 +27,9 @@ def as_float(a: Array, xp: ModuleType) -> Array:
     Raises:
         CameraError: If a finite number is too large for the precision it would have.
     """
-    given, a = a, xp.asarray(a)
+    given = a
+    with np.errstate(over="ignore"):  # refused below
+        a = xp.asarray(a)
     a = a if xp.issubdtype(a.dtype, xp.floating) else a.astype(xp.float32)
     if xp is jnp and not isinstance(given, jax.Array):
         given = np.asarray(given)

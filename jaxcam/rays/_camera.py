@@ -212,7 +212,9 @@ class Camera:
         Args:
             new_from_world: Rigid transform `[*batch, 4, 4]`, for example `base_from_world`.
         """
-        return replace(self, world_from_camera=matmul(new_from_world, self.world_from_camera))
+        xp = array_namespace(new_from_world, self.world_from_camera)
+        new, old = as_float(new_from_world, xp), as_float(self.world_from_camera, xp)
+        return replace(self, world_from_camera=matmul(new, old))
 
     def plucker(self, *, convention: Convention = "jaxcam") -> jax.Array:
         """Ray-map, float32 `[*batch, height, width, 6]`; see `jaxcam.rays.plucker`.

@@ -40,7 +40,13 @@ PACKED = 9
 _LENGTHS: dict[Lens, tuple[int, ...]] = {"opencv": (4, 5, 8), "fisheye": (4,)}
 _WIDEST = {"opencv": float(np.arctan(1e2)), "fisheye": np.pi / 2}
 """Up to which angle a fold is looked for."""
-_CORNERS, _RADIAL_STEPS, _PLANE_STEPS = 8, 6, 3
+_CORNERS = 8
+
+
+def _steps(values: Array) -> tuple[int, int]:
+    """How many of Newton's steps are taken along the radius and in the plane."""
+    return (6, 4) if values.dtype.itemsize <= 4 else (10, 7)
+
 
 Coefficients = tuple[Array, ...]
 
@@ -287,7 +293,7 @@ def _radius(distortion: Array, lens: Lens, limit: Array, distance: Array) -> Arr
     low = xp.zeros_like(distance)
     edge = high = xp.minimum(limit, 1e4) + low
     t = _rough_radius(distortion, lens, limit, distance)
-    for _ in range(_RADIAL_STEPS):
+    for _ in range(_steps(distance)[0]):
         s = t * t
         gain, slope = _gain(above, below, s)
         excess = t * gain - distance
@@ -373,7 +379,7 @@ def _undistort(distortion: Array, limit: Array, x2: Array, y2: Array) -> tuple[A
     distance = xp.sqrt(x2 * x2 + y2 * y2)
     scale = _radius(distortion, "opencv", limit, distance) / xp.maximum(distance, 1e-12)
     x, y = x2 * scale, y2 * scale
-    for _ in range(_PLANE_STEPS):
+    for _ in range(_steps(distance)[1]):
         a, b, c = _jacobian(distortion, x, y)
         fx, fy = _plane(distortion, x, y)
         fx, fy = fx - x2, fy - y2

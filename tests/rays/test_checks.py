@@ -145,7 +145,7 @@ def test_numbers_too_large_are_refused_by_whatever_takes_them(size, library):
         ),
         "pose": lambda: camera.in_frame(changed(np.eye(4), (0, 3), size)).plucker(),
         "crop": lambda: camera.crop(size, 0, 8, 8).plucker(),
-        "resize": lambda: camera.resize(8, 10**19),
+        "resize": lambda: camera.resize(8, 10**19).plucker(),
         "fovy": lambda: Camera.from_fovy(library(1e-30), H, W),
         "spherical": lambda: rays.spherical(changed(X0, (0, 3), size), np.zeros(3)),
         "centre": lambda: rays.spherical(library(X0), huge),
