@@ -275,7 +275,7 @@ def _limit(distortion: Array, lens: Lens, xp: ModuleType) -> Array:
             folds = bad.any(-1)
         first = xp.where(bad.any(-1), xp.argmax(bad, axis=-1), cells - 1)
         size = size / cells
-        low = low + first * size
+        low = low + first.astype(size.dtype) * size
     if lens == "fisheye":
         return xp.where(folds, low, xp.asarray(_WIDEST[lens], low.dtype)).astype(low.dtype)
     return xp.where(folds, xp.tan(low), xp.asarray(np.inf, low.dtype)).astype(low.dtype)
