@@ -13,8 +13,8 @@ import matplotlib.image
 import numpy as np
 
 from jaxcam.data.collection import run_expert
-from jaxcam.data.pictures import intrinsics
 from jaxcam.rays import sample_poses
+from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.sim import make_task
 from jaxcam.sim.mujoco.native import NativeEngine
 from jaxcam.sim.mujoco.render import Renderer, View

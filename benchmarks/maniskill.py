@@ -20,8 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxcam.data.pictures import intrinsics
 from jaxcam.rays import sample_poses
+from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.rays.rotations import rotvec_from_matrix
 from jaxcam.sim import make_task
 from jaxcam.sim.engine import Command, Start, State

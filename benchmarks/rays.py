@@ -1,9 +1,10 @@
-"""Time of `jaxcam.rays.plucker` against a plain fill of the same output array.
+"""Time of `jaxcam.rays.plucker` against a plain fill of the same output array, and of lenses.
 
     python benchmarks/rays.py [--maps 64] [--size 256] [--repeats 30]
 
 A fill is what it costs to write the numbers and nothing else, so the ratio says how much the
-arithmetic and the checks add. Both are measured in turn, in pairs; medians are printed.
+arithmetic and the checks add. All are measured in turn; medians are printed, and of ratios the
+median over rounds.
 """
 
 import argparse
@@ -16,6 +17,9 @@ import numpy as np
 
 from jaxcam.rays import POSE_RANGES, Camera, plucker, sample_poses
 from jaxcam.rays._checks import check_camera
+
+FIVE = [-0.3, 0.1, 1e-3, -5e-4, -0.02]
+FISHEYE = [-0.03, 0.01, 1e-3, -5e-4]
 
 
 def seconds(run: Callable[[], object]) -> float:
@@ -38,6 +42,8 @@ def main() -> None:
     programs: dict[str, Callable[[], object]] = {
         "fill": lambda: fill(1.0),
         "plucker": lambda: plucker(K, poses, *size),
+        "five": lambda: plucker(K, poses, *size, distortion=FIVE),
+        "fisheye": lambda: plucker(K, poses, *size, distortion=FISHEYE, lens="fisheye"),
         "checks alone": lambda: check_camera(K, poses, *size),
     }
     for run in programs.values():
@@ -51,8 +57,9 @@ def main() -> None:
     print(f"{args.maps} ray-maps of {args.size} x {args.size} on {device}, medians:")
     for name, values in times.items():
         print(f"  {name:13} {1e3 * np.median(values):8.2f} ms")
-    ratio = np.median(np.array(times["plucker"]) / np.array(times["fill"]))
-    print(f"  plucker / fill {ratio:.2f}")
+    for one, other in (("plucker", "fill"), ("five", "plucker"), ("fisheye", "plucker")):
+        ratio = np.median(np.array(times[one]) / np.array(times[other]))
+        print(f"  {one} / {other} {ratio:.2f}")
 
 
 if __name__ == "__main__":

@@ -23,8 +23,8 @@ os.environ.setdefault("MUJOCO_GL", "egl")  # mujoco reads it when it is imported
 import mujoco
 import numpy as np
 
-from jaxcam.data.pictures import intrinsics
 from jaxcam.rays import sample_poses, to_mujoco
+from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.sim import make_task
 from jaxcam.sim.mujoco.render import Renderer, View
 from jaxcam.sim.mujoco.scene import Scene, build_scene

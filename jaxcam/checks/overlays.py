@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 
 from jaxcam.data.demos import Demo, Demos
-from jaxcam.data.pictures import intrinsics, views_of
+from jaxcam.data.pictures import views_of
 from jaxcam.rays import Camera
+from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.rays.rotations import matrix_from_quaternion
 from jaxcam.sim.world import Painter, View, World
 

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from jaxcam.data.demos import Demo, Demos
-from jaxcam.data.pictures import Frames, intrinsics
+from jaxcam.data.pictures import Frames
 from jaxcam.data.samples import Samples, history
 from jaxcam.rays import invert
+from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.sim.actions import demo_actions
 from jaxcam.sim.world import World
 

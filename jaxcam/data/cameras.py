@@ -15,8 +15,7 @@ import numpy as np
 from jaxcam.console.words import some
 from jaxcam.data.demos import Demos
 from jaxcam.errors import CameraError
-from jaxcam.rays import invert, opencv_from_opengl
-from jaxcam.rays._checks import check_pose
+from jaxcam.rays import check_pose, invert, opencv_from_opengl
 from jaxcam.rays.rotations import matrix_from_quaternion, quaternion_from_matrix
 from jaxcam.sim import make_task
 

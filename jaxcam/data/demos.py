@@ -31,7 +31,7 @@ import h5py
 import numpy as np
 
 from jaxcam.errors import DatasetError
-from jaxcam.rays._checks import ROTATION_TOLERANCE
+from jaxcam.rays import ROTATION_TOLERANCE
 from jaxcam.rays.rotations import nearest_rotation
 
 FORMAT = 1

@@ -25,7 +25,7 @@ from jaxcam.data.demos import Demo, Demos, Header
 from jaxcam.data.samples import Layout
 from jaxcam.errors import DatasetError, SimError
 from jaxcam.files.locks import exclusive
-from jaxcam.rays import Camera
+from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.sim import make_task
 from jaxcam.sim.world import Painter, View, World
 
@@ -44,12 +44,6 @@ class Frames:
     layout: Layout = field(repr=False)
     drawn: np.ndarray = field(repr=False)
     """Which of them are drawn, bool [frames]; the others are black."""
-
-
-def intrinsics(fovy_deg: float, resolution: int) -> np.ndarray:
-    """K [3, 3] of a square picture with a vertical field of view in degrees."""
-    camera = Camera.from_fovy(np.deg2rad(fovy_deg), resolution, resolution, np.eye(4))
-    return np.asarray(camera.K)
 
 
 def load_frames(

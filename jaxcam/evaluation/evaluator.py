@@ -12,10 +12,10 @@ from jax.tree_util import Partial
 
 from jaxcam.config.train import TrainConfig
 from jaxcam.data.pairs import Pairs, make_pairs
-from jaxcam.data.pictures import intrinsics
 from jaxcam.devices import copied, data_mesh, spread
 from jaxcam.models import Policy
 from jaxcam.rays import Camera, spherical
+from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.results.rows import Row
 from jaxcam.sim import engine_name, make_engine, make_task
 from jaxcam.sim.actions import controller_of

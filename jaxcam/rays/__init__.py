@@ -1,9 +1,10 @@
-"""Cameras as rays: Plücker maps, camera records, conversions, and pose sampling.
+"""Cameras as rays: Plücker maps, camera records, lenses, conversions, and pose sampling.
 
 Loads nothing but JAX and NumPy, so that any project can use it on its own.
 """
 
 from jaxcam.rays._camera import Camera
+from jaxcam.rays._checks import ROTATION_TOLERANCE, check_pose
 from jaxcam.rays._convert import (
     from_maniskill,
     from_maniskill_gl,
@@ -21,7 +22,7 @@ from jaxcam.rays._convert import (
     to_mujoco_quat,
     write_pose_file,
 )
-from jaxcam.rays._plucker import plucker
+from jaxcam.rays._plucker import patch_rays, plucker
 from jaxcam.rays._poses import (
     POSE_RANGES,
     PoseRanges,
@@ -35,8 +36,10 @@ from jaxcam.rays._poses import (
 
 __all__ = [
     "POSE_RANGES",
+    "ROTATION_TOLERANCE",
     "Camera",
     "PoseRanges",
+    "check_pose",
     "from_maniskill",
     "from_maniskill_gl",
     "from_mujoco",
@@ -47,6 +50,7 @@ __all__ = [
     "opencv_from_opengl",
     "opencv_from_sapien",
     "opengl_from_opencv",
+    "patch_rays",
     "perturb",
     "plucker",
     "read_pose_file",

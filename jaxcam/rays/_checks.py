@@ -12,6 +12,9 @@ from jaxcam.rays._arrays import Array, is_concrete
 ROTATION_TOLERANCE = 1e-3
 """Largest accepted entry of |RᵀR - I|."""
 
+LARGEST = 1e6
+"""Largest accepted number of a camera (metres, pixels): float32 has seven digits."""
+
 _BOTTOM = np.array([0.0, 0.0, 0.0, 1.0])
 _EYE = np.eye(3)
 
@@ -70,26 +73,31 @@ def check_shape(name: str, what: str, value: Array, expected: tuple[int, int]) -
     if shape[-2:] == expected:
         return
     rows, columns = expected
-    cause = {
+    causes: dict[tuple[int, ...], str] = {
         (3, 4): "a 3x4 matrix without its last row 0 0 0 1; append it",
         (3, 3): "a rotation without its position",
         (4,): "K given as a list (fx, fy, cx, cy); build the matrix",
         (16,): "a flattened matrix; reshape it to 4x4",
         (9,): "a flattened matrix; reshape it to 3x3",
         (4, 4): "a 4x4 projection matrix, or the two arguments swapped",
-    }.get(shape[-2:], "another array passed in its place")
+    }
+    cause = causes.get(tuple(shape[-2:]), "another array passed in its place")
     raise CameraError(
         f"{name}: {what} has the wrong shape. Expected [..., {rows}, {columns}], got "
         f"{list(shape)}. Likely cause: {cause}."
     )
 
 
-def _check_size(name: str, height: int, width: int) -> None:
+def _check_size(name: str, height: object, width: object) -> None:
     for what, value in (("height", height), ("width", width)):
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value <= 0:
             raise CameraError(
                 f"{name}: image {what} must be a positive whole number of pixels, known when "
                 f"tracing; got {value!r}."
+            )
+        if value > LARGEST:
+            raise CameraError(
+                f"{name}: image {what}: expected up to {LARGEST:g} pixels, got {value}."
             )
 
 
@@ -101,6 +109,13 @@ def _check_intrinsics(name: str, K: np.ndarray, height: int, width: int, off_axi
         expected="finite numbers",
         got=_show,
         cause=_missing,
+    )
+    check(
+        (np.abs(K) <= LARGEST).all((-2, -1)),
+        "size of the numbers of K",
+        expected=f"up to {LARGEST:g} pixels",
+        got=_show,
+        cause=lambda _: "uninitialised memory, or K in another unit than pixels",
     )
     fx, fy = K[..., 0, 0], K[..., 1, 1]
     # fx < 0 with fy > 0 is a mirrored image, as Camera.flip_horizontal makes.
@@ -142,7 +157,12 @@ def _check_intrinsics(name: str, K: np.ndarray, height: int, width: int, off_axi
 
 
 def check_pose(name: str, pose: np.ndarray) -> None:
-    """Raise `CameraError` for the first of `[..., 4, 4]` that is not a rigid transform."""
+    """Raise `CameraError` for the first pose of a batch that cannot be.
+
+    Args:
+        name: What to call the pose in the message; an index is added for a batch.
+        pose: `[..., 4, 4]`, any camera axes, positions in metres.
+    """
     check_shape(name, "world_from_camera", pose, (4, 4))
     check = _Check(name, pose)
     check(
@@ -159,6 +179,15 @@ def check_pose(name: str, pose: np.ndarray) -> None:
         got=lambda p: _show(p[3]),
         cause=lambda p: (
             "the matrix is transposed" if (p[:, 3] == _BOTTOM).all() else "not a rigid transform"
+        ),
+    )
+    check(
+        (np.abs(pose[..., :3, 3]) <= LARGEST).all(-1),
+        "position of world_from_camera",
+        expected=f"up to {LARGEST:g} metres from the origin",
+        got=lambda p: _show(p[:3, 3]),
+        cause=lambda _: (
+            "uninitialised memory, or coordinates on the earth; express the pose in the robot base"
         ),
     )
     rotation = pose[..., :3, :3].astype(np.float64)

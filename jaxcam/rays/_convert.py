@@ -7,14 +7,14 @@ otherwise. Functions keep NumPy (and its precision) under NumPy and JAX under JA
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from types import ModuleType
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from jaxcam.errors import CameraError
-from jaxcam.rays._arrays import Array, as_float, matmul, namespace, rigid
+from jaxcam.rays._arrays import Array, array_namespace, as_float, matmul, rigid
 from jaxcam.rays._checks import check_pose
+from jaxcam.rays.rotations import matrix_from_quaternion, quaternion_from_matrix
 
 # Columns: the axes of the foreign camera frame, in OpenCV axes.
 _GL = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -24,7 +24,7 @@ _SAPIEN = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
 
 def invert(transform: Array) -> Array:
     """Inverse of a rigid transform, `[..., 4, 4]`: camera-to-world to world-to-camera and back."""
-    xp = namespace(transform)
+    xp = array_namespace(transform)
     transform = as_float(transform, xp)
     rotation_t = xp.swapaxes(transform[..., :3, :3], -1, -2)
     return rigid(rotation_t, -matmul(rotation_t, transform[..., :3, 3:])[..., 0])
@@ -57,7 +57,7 @@ def from_mujoco(cam_xpos: Array, cam_xmat: Array) -> Array:
         cam_xpos: `[..., 3]`.
         cam_xmat: `[..., 9]` as in `mujoco.MjData`, or `[..., 3, 3]` as in MJX.
     """
-    xp = namespace(cam_xpos, cam_xmat)
+    xp = array_namespace(cam_xpos, cam_xmat)
     cam_xpos, cam_xmat = as_float(cam_xpos, xp), as_float(cam_xmat, xp)
     if cam_xmat.shape[-2:] != (3, 3):
         cam_xmat = cam_xmat.reshape(*cam_xmat.shape[:-1], 3, 3)
@@ -79,23 +79,16 @@ def from_mujoco_quat(cam_pos: Array, cam_quat: Array) -> Array:
         cam_pos: `[..., 3]`.
         cam_quat: `[..., 4]`; normalised here, as MuJoCo's compiler does.
     """
-    xp = namespace(cam_pos, cam_quat)
+    xp = array_namespace(cam_pos, cam_quat)
     q = as_float(cam_quat, xp)
     q = q / xp.linalg.norm(q, axis=-1, keepdims=True)
-    w, x, y, z = (q[..., i] for i in range(4))
-    rows = (
-        *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
-    rotation = xp.stack(rows, axis=-1).reshape(*q.shape[:-1], 3, 3)
-    return opencv_from_opengl(rigid(rotation, as_float(cam_pos, xp)))
+    return opencv_from_opengl(rigid(matrix_from_quaternion(q), as_float(cam_pos, xp)))
 
 
 def to_mujoco_quat(body_from_camera: Array) -> tuple[Array, Array]:
     """MJCF `pos` `[..., 3]` and `quat` `[..., 4]` (w, x, y, z; w >= 0) of a pose in its body."""
     pose = opengl_from_opencv(body_from_camera)
-    return pose[..., :3, 3], _quaternion(namespace(pose), pose[..., :3, :3])
+    return pose[..., :3, 3], quaternion_from_matrix(pose[..., :3, :3])
 
 
 def from_robosuite(extrinsic: Array) -> Array:
@@ -106,12 +99,12 @@ def from_robosuite(extrinsic: Array) -> Array:
     robosuite's default `IMAGE_CONVENTION = "opengl"` stores the bottom row first; use
     `image[::-1]` with both matrices.
     """
-    return as_float(extrinsic, namespace(extrinsic))
+    return as_float(extrinsic, array_namespace(extrinsic))
 
 
 def from_maniskill(extrinsic_cv: Array) -> Array:
     """Pose from ManiSkill's `extrinsic_cv`, which maps world to camera, `[..., 3 or 4, 4]`."""
-    xp = namespace(extrinsic_cv)
+    xp = array_namespace(extrinsic_cv)
     extrinsic = as_float(extrinsic_cv, xp)
     if extrinsic.shape[-2:] not in ((3, 4), (4, 4)):
         raise CameraError(
@@ -149,17 +142,18 @@ def read_pose_file(path: str | Path) -> tuple[np.ndarray, dict[str, Any]]:
         content = json.loads(Path(path).read_text(encoding="utf-8"))
     except ValueError as error:
         raise CameraError(f"{path} is not JSON ({error}). Likely cause: a cut download.") from None
-    if not isinstance(content, dict) or not isinstance(content.get("poses"), list):
-        found = list(content) if isinstance(content, dict) else type(content).__name__
-        raise CameraError(f"{path}: expected an object with a list 'poses', found {found}.")
+    fields = cast(dict[str, Any], content) if isinstance(content, dict) else {}
+    if not isinstance(fields.get("poses"), list):
+        got = list(fields) if isinstance(content, dict) else type(content).__name__
+        raise CameraError(f"{path}: expected an object with a list 'poses', found {got}.")
     try:
-        poses = np.asarray(content["poses"], np.float64)
+        poses = np.asarray(fields["poses"], np.float64)
     except (TypeError, ValueError):
         raise CameraError(f"{path}: 'poses' must be a list of 4x4 matrices of numbers.") from None
     if poses.ndim != 3:
         raise CameraError(f"{path}: expected [count, 4, 4] poses, got {list(poses.shape)}.")
     check_pose(f"{path} pose", poses)
-    return opencv_from_opengl(poses), content.get("config", {})
+    return opencv_from_opengl(poses), fields.get("config", {})
 
 
 def write_pose_file(
@@ -181,28 +175,6 @@ def write_pose_file(
 
 
 def _change_axes(world_from_camera: Array, axes: np.ndarray) -> Array:
-    xp = namespace(world_from_camera)
+    xp = array_namespace(world_from_camera)
     pose = as_float(world_from_camera, xp)
     return matmul(pose, xp.asarray(axes, pose.dtype))
-
-
-def _quaternion(xp: ModuleType, R: Array) -> Array:
-    """Quaternion (w, x, y, z), w >= 0, of a rotation."""
-    # The rows of the table are q times 4w, 4x, 4y and 4z; the longest is the best conditioned.
-    r = {(i, j): R[..., i, j] for i in range(3) for j in range(3)}
-    wx, wy, wz = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
-    xy, xz, yz = r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1]
-    d0, d1, d2 = r[0, 0], r[1, 1], r[2, 2]
-    table = xp.stack(
-        [
-            xp.stack([1 + d0 + d1 + d2, wx, wy, wz], axis=-1),
-            xp.stack([wx, 1 + d0 - d1 - d2, xy, xz], axis=-1),
-            xp.stack([wy, xy, 1 - d0 + d1 - d2, yz], axis=-1),
-            xp.stack([wz, xz, yz, 1 - d0 - d1 + d2], axis=-1),
-        ],
-        axis=-2,
-    )
-    best = xp.argmax(xp.stack([table[..., i, i] for i in range(4)], axis=-1), axis=-1)
-    q = xp.take_along_axis(table, best[..., None, None], axis=-2)[..., 0, :]
-    q = q / xp.linalg.norm(q, axis=-1, keepdims=True)
-    return xp.where(q[..., :1] < 0, -q, q)

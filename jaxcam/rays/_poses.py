@@ -1,15 +1,28 @@
 """Where cameras are put: pose sampling, the paper's camera schedule, and pose noise."""
+# JAX's own annotations are partial.
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from types import MappingProxyType
+from types import MappingProxyType, ModuleType
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxcam.errors import CameraError, ConfigError
-from jaxcam.rays._arrays import Array, as_float, is_concrete, matmul, namespace, rigid
+from jaxcam.rays._arrays import (
+    Array,
+    array_namespace,
+    as_float,
+    check_size,
+    is_concrete,
+    matmul,
+    rigid,
+)
+from jaxcam.rays._checks import LARGEST, check_pose
+from jaxcam.rays.rotations import matrix_from_rotvec
 
 Interval = tuple[float, float]
 
@@ -30,6 +43,9 @@ class PoseRanges:
         pick_interval: How several azimuth intervals of one length are drawn: an integer picks one
             (true), or one number runs through all of them (false). Same distribution; both exist
             because released pose sets were drawn either way.
+
+    Raises:
+        ConfigError: If there is no such region.
     """
 
     azimuth: tuple[Interval, ...]
@@ -41,6 +57,11 @@ class PoseRanges:
 
     def __post_init__(self) -> None:
         intervals = [*self.azimuth, self.elevation, self.distance, *self.look_at]
+        numbers = np.array([*np.ravel(intervals), *self.centre], np.float64)
+        if not (np.abs(numbers) <= LARGEST).all():
+            raise ConfigError(
+                f"pose ranges: expected finite numbers up to {LARGEST:g}, got {self}."
+            )
         for low, high in intervals:
             if not low <= high:
                 raise ConfigError(f"pose ranges: interval ({low:g}, {high:g}) is empty.")
@@ -97,8 +118,13 @@ def look_at(position: Array, target: Array, up: Array = (0.0, 0.0, 1.0)) -> Arra
 
     Returns:
         `world_from_camera` `[..., 4, 4]` in OpenCV axes.
+
+    Raises:
+        CameraError: If the view is undefined, or a number is larger than a camera's may be.
     """
-    xp = namespace(position, target)
+    for what, values in (("position", position), ("target", target), ("up", up)):
+        check_size(f"look_at: {what}", values, LARGEST)
+    xp = array_namespace(position, target)
     position, target = as_float(position, xp), as_float(target, xp)
     forward = target - position
     forward = forward / xp.linalg.norm(forward, axis=-1, keepdims=True)
@@ -170,13 +196,33 @@ def spherical(world_from_camera: Array, centre: Array) -> tuple[Array, Array, Ar
         centre: `[3]`, for example `ranges.centre`.
 
     Returns:
-        Three arrays `[...]`: azimuth in (-pi, pi], elevation in ±pi/2, distance.
+        Three arrays `[...]`: azimuth in (-pi, pi], elevation in ±pi/2, distance. Where an angle or
+        distance has no derivative (on the axis, at the centre) it is zero.
+
+    Raises:
+        CameraError: If a number is larger than a camera's may be.
     """
-    xp = namespace(world_from_camera, centre)
+    check_size("spherical: world_from_camera", world_from_camera, LARGEST)
+    check_size("spherical: centre", centre, LARGEST)
+    xp = array_namespace(world_from_camera, centre)
     pose = as_float(world_from_camera, xp)
     x, y, z = xp.moveaxis(pose[..., :3, 3] - xp.asarray(centre, pose.dtype), -1, 0)
-    flat = xp.hypot(x, y)
-    return xp.arctan2(y, x), xp.arctan2(z, flat), xp.hypot(flat, z)
+    flat = _polar(xp.hypot, x, y, xp)
+    return (
+        _polar(xp.arctan2, y, x, xp),
+        _polar(xp.arctan2, z, flat, xp),
+        _polar(xp.hypot, flat, z, xp),
+    )
+
+
+def _polar(function: Callable[[Array, Array], Array], a: Array, b: Array, xp: ModuleType) -> Array:
+    """A function of the plane, whose derivative is zero at the origin instead of undefined."""
+    if xp is np:
+        return function(a, b)
+    # In float32 the squares of less than this vanish, and derivatives divide by them.
+    near = jnp.maximum(jnp.abs(a), jnp.abs(b)) < 1e-15
+    still = function(jax.lax.stop_gradient(a), jax.lax.stop_gradient(b))
+    return jnp.where(near, still, function(jnp.where(near, 1, a), jnp.where(near, 1, b)))
 
 
 def stair(demos: int, n: int, m: int) -> np.ndarray:
@@ -224,12 +270,20 @@ def perturb(
 
     Returns:
         Perturbed poses, float32 `[..., 4, 4]`.
+
+    Raises:
+        CameraError: If a pose is impossible, or a number too large.
     """
+    if is_concrete(world_from_camera):
+        check_pose("pose", np.asarray(world_from_camera))
+    check_size("perturb: rotation", rotation, LARGEST)
+    check_size("perturb: translation", translation, LARGEST)
     pose = jnp.asarray(world_from_camera, jnp.float32)
     axis_key, direction_key = jax.random.split(key)
     axis = _unit(axis_key, pose.shape[:-2])
     direction = _unit(direction_key, pose.shape[:-2])
-    turned = matmul(pose[..., :3, :3], _rotation_about(axis, jnp.asarray(rotation, jnp.float32)))
+    angle = jnp.asarray(rotation, jnp.float32)[..., None]
+    turned = matmul(pose[..., :3, :3], matrix_from_rotvec(angle * axis))
     moved = pose[..., :3, 3] + jnp.asarray(translation, jnp.float32)[..., None] * direction
     return rigid(turned, moved)
 
@@ -237,14 +291,3 @@ def perturb(
 def _unit(key: jax.Array, batch: tuple[int, ...]) -> jax.Array:
     v = jax.random.normal(key, (*batch, 3), jnp.float32)
     return v / jnp.linalg.norm(v, axis=-1, keepdims=True)
-
-
-def _rotation_about(axis: jax.Array, angle: jax.Array) -> jax.Array:
-    """Rotation by `angle` about the unit vector `axis` (Rodrigues' formula)."""
-    x, y, z = jnp.moveaxis(axis, -1, 0)
-    zero = jnp.zeros_like(x)
-    rows = (zero, -z, y, z, zero, -x, -y, x, zero)
-    cross = jnp.stack(rows, axis=-1).reshape(*axis.shape[:-1], 3, 3)
-    angle = angle[..., None, None]
-    # 2 sin²(a/2) is 1 - cos a without losing small angles to rounding.
-    return jnp.eye(3) + jnp.sin(angle) * cross + 2 * jnp.sin(angle / 2) ** 2 * matmul(cross, cross)

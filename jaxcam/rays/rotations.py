@@ -1,17 +1,17 @@
 """Rotations as matrices, rotation vectors and quaternions, for NumPy and JAX, batched."""
 
-from typing import Any
+from jaxcam.rays._arrays import Array, array_namespace, matmul
 
-import jax
-import numpy as np
-
-Array = Any
-"""A NumPy or JAX array."""
-
-
-def array_namespace(x: Array) -> Any:
-    """`jax.numpy` for JAX arrays and tracers, else NumPy."""
-    return jax.numpy if isinstance(x, jax.Array) else np
+__all__ = [
+    "Array",
+    "array_namespace",
+    "matrix_from_quaternion",
+    "matrix_from_rotvec",
+    "nearest_rotation",
+    "quaternion_from_matrix",
+    "rotvec_from_matrix",
+    "skew",
+]
 
 
 def matrix_from_rotvec(rotvec: Array) -> Array:
@@ -24,7 +24,7 @@ def matrix_from_rotvec(rotvec: Array) -> Array:
     sine = xp.where(small, 1 - squared / 6, xp.sin(angle) / angle)
     cosine = xp.where(small, 0.5 - squared / 24, (1 - xp.cos(angle)) / safe)
     cross = skew(rotvec)
-    return xp.eye(3) + sine * cross + cosine * (cross @ cross)
+    return xp.eye(3, dtype=cross.dtype) + sine * cross + cosine * matmul(cross, cross)
 
 
 def rotvec_from_matrix(rotation: Array) -> Array:
@@ -78,8 +78,9 @@ def nearest_rotation(matrix: Array) -> Array:
     """The rotations [..., 3, 3] nearest to matrices, such as means of rotations, entry by entry."""
     xp = array_namespace(matrix)
     u, _, v = xp.linalg.svd(matrix)
-    turned = xp.linalg.det(u @ v)[..., None]  # -1 where the nearest orthogonal matrix is a mirror
-    return u @ xp.concatenate([v[..., :2, :], v[..., 2:, :] * turned[..., None]], -2)
+    # -1 where the nearest orthogonal matrix is a mirror.
+    sign = xp.linalg.det(matmul(u, v))[..., None, None]
+    return matmul(u, xp.concatenate([v[..., :2, :], v[..., 2:, :] * sign], -2))
 
 
 def skew(v: Array) -> Array:

@@ -17,8 +17,7 @@ from jaxcam.data.collection import collect, dataset_path
 from jaxcam.data.demos import read_demos
 from jaxcam.data.writer import DemoWriter
 from jaxcam.errors import DatasetError
-from jaxcam.rays import stair_cameras
-from jaxcam.rays._checks import ROTATION_TOLERANCE
+from jaxcam.rays import ROTATION_TOLERANCE, stair_cameras
 
 LAYOUT = {
     "states",

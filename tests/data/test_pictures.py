@@ -8,9 +8,10 @@ import pytest
 from conftest import PIXELS
 
 from jaxcam.data import pictures as frames_module
-from jaxcam.data.pictures import intrinsics, load_frames
+from jaxcam.data.pictures import load_frames
 from jaxcam.errors import DatasetError, SimError
 from jaxcam.rays import Camera
+from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.sim.mujoco.render import Renderer, View
 
 Usage = namedtuple("Usage", "total used free")

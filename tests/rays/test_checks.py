@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from rays_oracle import random_camera
 
+from jaxcam import rays
 from jaxcam.errors import CameraError
 from jaxcam.rays import Camera, plucker
 
@@ -30,6 +31,14 @@ BAD = {
     "K ragged": ([[1, 2], [3]], X0, r"K must be an array of numbers"),
     "K complex": (K0 * 1j, X0, r"real numbers, got dtype complex128"),
     "K nan": (changed(K0, (0, 2), np.nan), X0, r"values of K: expected finite.*nan"),
+    "K beyond float32": (changed(K0, (0, 0), 1e39), X0, r"size of the numbers of K.*1e\+06"),
+    "cx beyond float32": (changed(K0, (0, 2), -1e39), X0, r"size of the numbers of K"),
+    "pose beyond float32": (
+        K0,
+        changed(X0, (1, 3), 1e39),
+        r"position of world_from_camera.*metres",
+    ),
+    "pose on the earth": (K0, changed(X0, (1, 3), 5.4e6), r"position.*robot base"),
     "pose inf": (K0, changed(X0, (1, 3), np.inf), r"values of world_from_camera.*inf"),
     "fx zero": (changed(K0, (0, 0), 0), X0, r"focal lengths: expected fx != 0.*got fx 0"),
     "fy zero": (changed(K0, (1, 1), 0), X0, r"got fx 70, fy 0.*never filled"),
@@ -119,3 +128,44 @@ def test_inside_jit_shapes_are_checked_and_values_are_not():
         jax.jit(lambda x: plucker(np.zeros((3, 3)), x, H, W))(bad)
     with pytest.raises(CameraError, match="known when tracing"):
         jax.jit(lambda h: plucker(K0, X0, h, W))(3)
+
+
+@pytest.mark.parametrize("library", [np.asarray, jnp.asarray])
+@pytest.mark.parametrize("size", [1e19, 1e39, 1e300])
+def test_numbers_too_large_are_refused_by_whatever_takes_them(size, library):
+    """Checked in float64 and computed in float32, they gave infinity or NaN in silence."""
+    camera = Camera(library(K0), library(X0), H, W)
+    huge = np.array([size, 1.0, 1.0])
+    calls = {
+        "project": lambda: camera.project(huge),
+        "depth": lambda: camera.unproject(np.full((H, W), size)),
+        "pixels": lambda: camera.unproject(np.array(1.0), huge[:2]),
+        "K of project": lambda: Camera(K0 * [[size], [1], [1]], library(X0), H, W).project(
+            [0, 0, 1]
+        ),
+        "pose": lambda: camera.in_frame(changed(np.eye(4), (0, 3), size)).plucker(),
+        "crop": lambda: camera.crop(size, 0, 8, 8).plucker(),
+        "resize": lambda: camera.resize(8, 10**19).plucker(),
+        "fovy": lambda: Camera.from_fovy(library(1e-30), H, W),
+        "spherical": lambda: rays.spherical(changed(X0, (0, 3), size), np.zeros(3)),
+        "centre": lambda: rays.spherical(library(X0), huge),
+        "look_at": lambda: rays.look_at(huge, library(np.zeros(3))),
+        "target": lambda: rays.look_at(library(np.zeros(3)), huge),
+        "perturb": lambda: rays.perturb(changed(X0, (0, 3), size), jax.random.key(0)),
+        "far": lambda: rays.perturb(X0, jax.random.key(0), 0.1, size),
+        "lens": lambda: plucker(K0, X0, H, W, distortion=[size, 0, 0, 0]),
+        "height": lambda: plucker(K0, X0, 10**7, W),
+    }
+    for name, call in calls.items():
+        with pytest.raises(CameraError):
+            pytest.fail(f"{name} gave {call()}")
+
+
+@pytest.mark.parametrize("library", [np.asarray, jnp.asarray])
+def test_what_is_accepted_gives_finite_numbers(library):
+    far = changed(X0, (slice(0, 3), 3), 1e6)
+    camera = Camera(library(changed(K0, (0, 0), 1e6)), library(far), H, W)
+    assert np.isfinite(camera.plucker()).all()
+    for point in (far[:3, 3], [1e18, -1e18, 1e18], far[:3, 3] + far[:3, 0]):
+        assert np.isfinite(camera.project(library(np.array(point)))[0]).all()
+    assert np.isfinite(camera.unproject(library(np.full((H, W), 1e18)))).all()

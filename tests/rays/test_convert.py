@@ -4,6 +4,7 @@ import json
 import warnings
 from types import SimpleNamespace
 
+import cv2
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -200,3 +201,68 @@ def test_impossible_poses_are_not_written(tmp_path):
     with pytest.raises(CameraError, match=r"\[count, 4, 4\]"):
         rays.write_pose_file(tmp_path / "p.json", np.eye(4))
     assert not (tmp_path / "p.json").exists()
+
+
+CALIBRATED = """
+<mujoco>
+  <worldbody>
+    <camera name="c" pos="0.3 -0.4 1.2" xyaxes="1 0.2 0 0 1 0.3" resolution="64 48"
+      sensorsize="0.0064 0.0048" focal="0.005 0.006" principal="{}"/>
+    <site name="s" pos="0.35 -0.3 0.1"/>
+  </worldbody>
+  <sensor><camprojection site="s" camera="c"/></sensor>
+</mujoco>
+"""
+
+
+def _calibrated(principal):
+    """MuJoCo's model and data, and the camera that docs/conventions.md makes of them."""
+    model = mujoco.MjModel.from_xml_string(CALIBRATED.format(principal))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    width, height = model.cam_resolution[0]
+    fx, fy, px, py = model.cam_intrinsic[0] * np.tile(
+        model.cam_resolution[0] / model.cam_sensorsize[0], 2
+    )
+    K = np.array([[fx, 0, width / 2 - px], [0, fy, height / 2 - py], [0, 0, 1]])
+    pose = rays.from_mujoco(data.cam_xpos[0], data.cam_xmat[0])
+    return model, data, rays.Camera(K, pose, int(height), int(width))
+
+
+def test_mjcf_focal_and_principal_are_mujocos_frustum():
+    model, data, camera = _calibrated("0.0004 -0.0003")
+    scene, eye = mujoco.MjvScene(model, 10), mujoco.MjvCamera()
+    eye.type, eye.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0
+    mujoco.mjv_updateScene(
+        model, data, mujoco.MjvOption(), None, eye, mujoco.mjtCatBit.mjCAT_ALL, scene
+    )
+    # Two eyes, a little apart, of which both look through the same window.
+    window = scene.camera[0]
+    left = window.frustum_center - window.frustum_width
+    right = window.frustum_center + window.frustum_width
+    near = window.frustum_near
+    K = camera.K
+    for u, v, x, y in (
+        (0, 0, left, window.frustum_top),
+        (64, 48, right, window.frustum_bottom),
+    ):
+        seen = np.array([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]])
+        np.testing.assert_allclose(seen, [x / near, -y / near], atol=1e-6)
+    np.testing.assert_allclose(K[:2, 2], [28, 27], atol=1e-5)
+
+
+def test_mjcf_focal_is_mujocos_projection():
+    """MuJoCo's `camprojection` sensor, which leaves `principal` out."""
+    _, data, camera = _calibrated("0 0")
+    uv, _ = camera.project(data.site_xpos[0])
+    np.testing.assert_allclose(uv, data.sensordata, atol=1e-5)
+
+
+def test_opencv_calibrations_have_pixel_centres_at_whole_numbers():
+    """OpenCV's rays of whole pixels are ours, with 0.5 added to the principal point."""
+    theirs = np.array([[50.0, 0, 31.5], [0, 52, 23.5], [0, 0, 1]])
+    ours = theirs + np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+    d = np.asarray(rays.plucker(ours, np.eye(4), 48, 64))[..., :3]
+    indices = np.stack(np.meshgrid(np.arange(64.0), np.arange(48.0)), -1).reshape(-1, 1, 2)
+    want = cv2.undistortPoints(indices, theirs, None).reshape(48, 64, 2)
+    np.testing.assert_allclose(d[..., :2] / d[..., 2:], want, atol=1e-6)

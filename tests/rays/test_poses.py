@@ -82,6 +82,10 @@ def test_cameras_look_into_the_box():
         ({"distance": (0.0, 1.0)}, "distance must be positive"),
         ({"elevation": (30.0, 60.0)}, "not degrees"),
         ({"elevation": (0.6, 0.5)}, "empty"),
+        ({"distance": (1.0, np.inf)}, "finite numbers up to"),
+        ({"distance": (1e39, 1e39)}, "finite numbers up to"),
+        ({"azimuth": ((0.0, np.nan),)}, "finite numbers up to"),
+        ({"centre": (0.0, -1e39, 0.0)}, "finite numbers up to"),
         ({"azimuth": ()}, "at least one"),
         ({"azimuth": ((0.0, 1.0), (0.5, 2.0))}, "not overlap"),
     ],
@@ -146,3 +150,21 @@ def test_spherical_of_known_places():
     np.testing.assert_allclose(azimuth, [0, np.pi / 2, np.pi])
     np.testing.assert_allclose(elevation, [0, 0, np.pi / 4], atol=1e-12)
     np.testing.assert_allclose(distance, [1, 2, np.sqrt(2)])
+
+
+def test_gradients_of_spherical_are_finite_on_the_axis_and_at_the_centre():
+    def gradient(position):
+        pose = jax.numpy.eye(4).at[:3, 3].set(jax.numpy.array(position, jax.numpy.float32))
+        return jax.jacobian(lambda p: jax.numpy.stack(spherical(p, np.zeros(3))))(pose)[:, :3, 3]
+
+    # d azimuth, d elevation, d distance by x, y, z: on the axis only the distance has one.
+    for z in (2.0, -2.0):
+        want = [[0, 0, 0], [0, 0, 0], [0, 0, np.sign(z)]]
+        np.testing.assert_allclose(gradient([0, 0, z]), want, atol=1e-6)
+    np.testing.assert_array_equal(gradient([0, 0, 0]), 0)
+    assert np.isfinite(gradient([1e-30, -1e-30, 1.0])).all()
+    beside = [[0, 0.5, 0], [-0.25, 0, 0.25], [np.sqrt(0.5), 0, np.sqrt(0.5)]]
+    np.testing.assert_allclose(gradient([2, 0, 2]), beside, atol=1e-6)
+    # The values themselves are what they were.
+    pose = jax.numpy.eye(4).at[2, 3].set(-3.0)
+    np.testing.assert_allclose(spherical(pose, np.zeros(3)), [0, -np.pi / 2, 3], rtol=1e-6)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxcam.config.names import ActionSpace
-from jaxcam.data.pictures import intrinsics
+from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.rays.rotations import matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.sim.actions import (
     ACTION_SPACES,

@@ -10,8 +10,8 @@ from jax.tree_util import Partial
 from places import GOLDEN
 from scipy.spatial.transform import Rotation
 
-from jaxcam.data.pictures import intrinsics
 from jaxcam.rays import sample_poses
+from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.rays.rotations import nearest_rotation
 from jaxcam.sim.actions import averageable, averaged
 from jaxcam.sim.ensemble import ensemble

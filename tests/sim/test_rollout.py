@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from jaxcam.data.pictures import intrinsics
 from jaxcam.rays import sample_poses
+from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.sim.actions import demo_actions
 from jaxcam.sim.engine import State
 from jaxcam.sim.mujoco.native import NativeEngine

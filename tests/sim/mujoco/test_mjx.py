@@ -8,9 +8,9 @@ import pytest
 from jax.tree_util import Partial
 from mujoco.mjx import forward as warp_forward
 
-from jaxcam.data.pictures import intrinsics
 from jaxcam.errors import ConfigError, SimError
 from jaxcam.rays import sample_poses
+from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.rays.rotations import array_namespace, matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.sim import engine_name, make_engine
 from jaxcam.sim.actions import decode, demo_actions, measured
