@@ -69,7 +69,7 @@ def train(config: TrainConfig, console: Console | None = None) -> int:
                     record_weights(run.path, weights)
             dataset = _dataset(configs, console)
             check_same("demonstrations", dataset.fingerprint)
-            policy = _policy(first, dataset.stats())
+            policy = policy_of(first, dataset.stats())
             with interrupts() as stop:  # only here is there something to save
                 trainer = Trainer(first, dataset, policy, stop, console)
                 states = trainer.fit(configs, runs, weights)
@@ -134,15 +134,23 @@ def _dataset(configs: Sequence[TrainConfig], console: Console | None) -> Dataset
     else:
         demos = collect(collect_config(config), console)
     samples = Samples(Layout.of(demos), len(demos.train))
-    seeds, obs_steps = [c.seed for c in configs], policy_settings(config).obs_steps
+    seeds, obs_steps = [c.seed for c in configs], policy_settings(config, task.prompt).obs_steps
     wanted = samples.wanted(seeds, config.steps, config.batch, config.views, obs_steps)
     frames = load_frames(demos, config.resolution, console, wanted)
     return make_dataset(demos, frames, config.action_space, task.scene(config.scene))
 
 
-def _policy(config: TrainConfig, stats: Stats | None = None) -> Policy:
-    """The policy that is trained; without statistics, one of the same shapes."""
-    settings = policy_settings(config)
+def policy_of(config: TrainConfig, stats: Stats | None = None) -> Policy:
+    """The policy that a run trains.
+
+    Args:
+        config: Resolved settings.
+        stats: Statistics of its demonstrations; without them the policy has the same shapes only.
+
+    Raises:
+        ConfigError: Its settings do not go together.
+    """
+    settings = policy_settings(config, make_task(config.task).prompt)
     spec = PolicySpec(
         action_dim=action_dim(config.action_space),
         proprio_dim=PROPRIO_DIM,
@@ -162,7 +170,7 @@ def _checked_weights(configs: Sequence[TrainConfig]) -> Weights | None:
         ConfigError: The policy cannot be built.
         CheckpointError: The weights are not its.
     """
-    policy, file = _policy(configs[0]), configs[0].weights
+    policy, file = policy_of(configs[0]), configs[0].weights
     if not file or all(checkpoint_steps(config.run_dir) for config in configs):
         return None
     weights = read_weights(file)

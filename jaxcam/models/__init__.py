@@ -4,12 +4,12 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from jaxcam.config.fields import with_overrides
+from jaxcam.config.train import TrainConfig
 from jaxcam.models import act, diffusion, smolvla
 from jaxcam.models.act import ACT_PRESETS, ActConfig
 from jaxcam.models.policy import Batch, Family, Key, Obs, Params, Policy, PolicySpec, Stats
 
 if TYPE_CHECKING:
-    from jaxcam.config.train import TrainConfig
     from jaxcam.training.checkpoint import PolicyInputs
 
 __all__ = [
@@ -55,12 +55,20 @@ def make_policy(config: Any, spec: PolicySpec, stats: Stats) -> Policy:
     return family.make(config, spec, stats)
 
 
-def policy_settings(config: "TrainConfig") -> Any:
-    """The network's settings that a run's resolved settings ask for."""
+def policy_settings(config: TrainConfig, prompt: str) -> Any:
+    """The network's settings that a run's resolved settings ask for.
+
+    Args:
+        config: Resolved settings of the run.
+        prompt: What its task asks for, in words.
+
+    Raises:
+        ConfigError: A change that `config.model` asks for is unknown or cannot work.
+    """
     family = FAMILIES[config.policy]
     settings = family.conditioned(family.presets[config.preset], config.conditioning)
     settings = with_overrides(replace(settings, compute_dtype=config.precision), config.model)
-    return family.told(settings, config.task)
+    return family.instructed(settings, prompt)
 
 
 def rebuild_policy(inputs: "PolicyInputs") -> Policy:

@@ -82,14 +82,15 @@ class Family(Generic[C]):
         make: Makes the policy from settings, sizes and statistics.
         conditioned: ``conditioned(config, conditioning)`` is the same policy, told of its cameras
             in another way.
-        told: ``told(config, task)`` is the same policy, told what to do by the task's name.
+        instructed: ``instructed(config, prompt)`` is the same policy, told what to do in words;
+            those that do not read stay as they are.
     """
 
     config: type[C]
     presets: Mapping[str, C]
     make: Callable[[C, PolicySpec, Stats], Policy]
     conditioned: Callable[[C, str], C]
-    told: Callable[[C, str], C] = lambda config, task: config
+    instructed: Callable[[C, str], C] = lambda config, prompt: config
 
 
 def pure(

@@ -36,16 +36,6 @@ STD_FLOOR = 1e-4
 MOST_TOKENS = 48
 """Longest prompt SmolVLA takes."""
 
-PROMPTS = {
-    "lift": "Lift the cube",
-    "pick_place_can": "Move the can to the target",
-    "square": "Pick up the square nut and insert the peg into it",
-    "push_cube": "Push the cube to the target",
-    "lift_peg_upright": "Lift the peg upright",
-    "roll_ball": "Roll the ball to the target",
-}
-"""What the paper's policies are told to do, by task."""
-
 NO_TOKENS = (
     "SmolVLA reads a prompt, and needs SmolVLM2's tokenizer for it. Download tokenizer.json of "
     "HuggingFaceTB/SmolVLM2-500M-Video-Instruct from huggingface.co, pip install 'jaxcam[smolvla]' "
@@ -62,7 +52,7 @@ class SmolVlaConfig(CameraConfig):
     execute: int = 0
     """Actions of a chunk that are executed before the policy is asked again; 0 is all of them."""
     prompt: str = ""
-    """What the robot is told to do; unless given, the paper's words for the task."""
+    """What the robot is told to do; unless given, the task's own words."""
     tokenizer: str = ""
     """File tokenizer.json that turns the prompt into tokens."""
     tokens: tuple[int, ...] = ()
@@ -232,13 +222,19 @@ def tokenize(prompt: str, file: str) -> tuple[int, ...]:
     return tuple(tokenizer.encode(prompt.rstrip("\n") + "\n").ids)
 
 
-def with_prompt(config: SmolVlaConfig, task: str) -> SmolVlaConfig:
-    """The settings with the tokens of what the task asks for, if the tokenizer's file is given."""
+def with_prompt(config: SmolVlaConfig, prompt: str) -> SmolVlaConfig:
+    """The settings with their prompt as tokens, if they name a tokenizer's file.
+
+    Args:
+        config: Settings. A prompt in them counts more than the other one, tokens more than both.
+        prompt: What the task asks for.
+
+    Raises:
+        ConfigError: The prompt cannot be turned into tokens, see `tokenize`.
+    """
     if config.tokens or not config.tokenizer:
         return config
-    prompt = config.prompt or PROMPTS.get(task, "")
-    if not prompt:
-        raise ConfigError(f"There is no prompt for '{task}'; pass one: --model prompt='...'")
+    prompt = config.prompt or prompt
     return replace(config, prompt=prompt, tokens=tokenize(prompt, config.tokenizer))
 
 
