@@ -32,7 +32,7 @@ import numpy as np
 from jaxcam.config.train import TrainConfig
 from jaxcam.models import FAMILIES, Policy, PolicySpec, make_policy
 from jaxcam.models.crops import window
-from jaxcam.models.diffusion import Diffusion
+from jaxcam.models.diffusion.network import Diffusion
 from jaxcam.models.policy import blank_stats, pure
 from jaxcam.runs.identity import resolve
 from jaxcam.training.state import init_state, make_optimizer, make_train_chunk

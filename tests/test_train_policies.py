@@ -8,9 +8,8 @@ from conftest import PIXELS, TINY
 
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
-from jaxcam.models import rebuild_policy
 from jaxcam.pipeline import train
-from jaxcam.training.checkpoint import load_policy_inputs
+from jaxcam.training.checkpoint import load_policy_inputs, rebuild_policy
 
 SMALL = {
     # Two observation steps, DDPM, L2 decay, a moving average that rises.

@@ -14,6 +14,7 @@ import numpy as np
 from jaxcam.data.demos import Demo, Demos
 from jaxcam.data.pictures import Frames, intrinsics
 from jaxcam.data.samples import Samples, history
+from jaxcam.models.normalization import STD_FLOOR
 from jaxcam.rays import invert
 from jaxcam.sim.actions import demo_actions
 from jaxcam.sim.world import World
@@ -23,8 +24,6 @@ Batch = dict[str, Any]
 
 PREFETCH = 4
 """Calls' worth of batches made ready ahead by a thread."""
-STD_FLOOR = 1e-4
-"""Least standard deviation that actions and proprioception are divided by (authors' code)."""
 
 
 @dataclass(frozen=True)

@@ -21,13 +21,13 @@ from jaxcam.evaluation.evaluator import Evaluator, Row
 from jaxcam.files.jsonl import append_jsonl, read_jsonl
 from jaxcam.files.locks import exclusive
 from jaxcam.files.video import grid, write_video
-from jaxcam.models import Policy, rebuild_policy
+from jaxcam.models import Policy
 from jaxcam.reports.run_figures import write_plots
 from jaxcam.reports.run_page import write_report
 from jaxcam.results.protocol import missing, protocol_of
 from jaxcam.results.stats import USUAL, Estimate, latest_rows, success_rate
 from jaxcam.sim.rollout import Rollouts
-from jaxcam.training.checkpoint import checkpoint_steps, load_policy_inputs
+from jaxcam.training.checkpoint import checkpoint_steps, load_policy_inputs, rebuild_policy
 
 _log = logging.getLogger(__name__)
 

@@ -25,6 +25,7 @@ import orbax.checkpoint as ocp
 from jaxcam.config.fields import from_json
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import CheckpointError
+from jaxcam.models import FAMILIES, Policy, PolicySpec
 from jaxcam.runs.environment import package_versions
 from jaxcam.training.digests import (
     DamagedError,
@@ -272,6 +273,12 @@ def load_policy_inputs(run_dir: str | Path, step: int | None = None) -> PolicyIn
         params=_nest(leaves),
         step=manifest["step"],
     )
+
+
+def rebuild_policy(inputs: PolicyInputs) -> Policy:
+    """The policy of a checkpoint, as it was trained."""
+    family = FAMILIES[inputs.config.policy]
+    return family.make(family.config(**inputs.settings), PolicySpec(**inputs.spec), inputs.stats)
 
 
 def checkpoint_steps(run_dir: str | Path) -> list[int]:

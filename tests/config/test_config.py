@@ -240,9 +240,7 @@ def test_every_preset_is_of_known_names():
 
 def test_conditionings_are_those_of_the_policies():
     from jaxcam.models import FAMILIES
-    from jaxcam.models.fusion import CONDITIONINGS
 
-    assert NAMES["conditioning"] == CONDITIONINGS
     assert {(kind, name) for kind, f in FAMILIES.items() for name in f.presets} == set(PRESETS)
     for (kind, name), values in PRESETS.items():
         assert FAMILIES[kind].presets[name].conditioning == values["conditioning"]

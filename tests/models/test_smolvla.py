@@ -15,12 +15,13 @@ from jaxcam.config.presets import NAMES
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
 from jaxcam.models import PolicySpec, make_policy
-from jaxcam.models.flow import draw_time, integrate, line, time_embedding
-from jaxcam.models.fusion import with_conditioning
-from jaxcam.models.siglip import Siglip
-from jaxcam.models.smollm import rope
-from jaxcam.models.smolvla import SMOLVLA_PRESETS, SmolVlaConfig, tokenize, with_prompt
-from jaxcam.models.stack import through
+from jaxcam.models.conditioning import with_conditioning
+from jaxcam.models.smolvla.config import SMOLVLA_PRESETS, SmolVlaConfig
+from jaxcam.models.smolvla.flow import draw_time, integrate, line, time_embedding
+from jaxcam.models.smolvla.prompt import tokenize, with_prompt
+from jaxcam.models.smolvla.siglip import Siglip
+from jaxcam.models.smolvla.smollm import rope
+from jaxcam.models.smolvla.stack import through
 from jaxcam.pipeline import policy_of
 from jaxcam.runs.identity import resolve
 from jaxcam.sim import make_task
@@ -247,7 +248,7 @@ def test_training_on_any_task_reads_that_tasks_prompt(tokenizer, task):
 
 
 def test_prompt_of_the_user_counts_more_than_the_tasks(tokenizer):
-    made, file = tokenizer
+    file = tokenizer[1]
     assert tokenize("Lift the cube", file) == tokenize("Lift the cube\n", file)
     config = with_prompt(SmolVlaConfig(tokenizer=file, prompt="Lift the cube"), "Move the can")
     assert config.tokens == tokenize("Lift the cube", file) != tokenize("Move the can", file)
