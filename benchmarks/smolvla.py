@@ -26,7 +26,7 @@ from jaxcam.config.train import TrainConfig
 from jaxcam.models import Policy, PolicySpec, make_policy, policy_settings
 from jaxcam.runs.identity import resolve
 from jaxcam.sim import make_task
-from jaxcam.training.state import init_state, make_optimizer, train_step
+from jaxcam.training.state import Update, init_state, make_optimizer, train_step
 
 ACTIONS, PROPRIO, WORDS = 7, 8, 6
 UNUSED = 49280 * 960 + 960
@@ -72,7 +72,7 @@ def lower(preset: str, views: int, batch: int, remat: bool) -> tuple[Any, ...]:
     root = jax.eval_shape(jax.random.key, 0)
     state = jax.eval_shape(lambda key: init_state(policy.init, tx, key), root)
     shapes = batch_shapes(policy.spec, batch)
-    step = jax.jit(partial(train_step, loss=policy.loss, tx=tx), donate_argnums=0)
+    step = jax.jit(partial(train_step, Update(policy.loss, tx)), donate_argnums=0)
     return policy, state, shapes, step.lower(state, shapes, root)
 
 

@@ -22,7 +22,7 @@ from jaxcam.errors import CheckpointError
 from jaxcam.runs.identity import resolve
 from jaxcam.training.checkpoint import Checkpoints, checkpoint_steps, load_policy_inputs, make_side
 from jaxcam.training.digests import DamagedError, flatten, read_all
-from jaxcam.training.state import init_state, make_train_chunk
+from jaxcam.training.state import Update, init_state, make_train_chunk
 
 CONFIG = resolve(TrainConfig(steps=6, save_every=1), accelerator=False)
 ROOT = jax.random.key(0)
@@ -51,7 +51,7 @@ def loss(params, batch, key):
     return jnp.mean(out**2), {}
 
 
-CHUNK = make_train_chunk(loss, TX, ema=0.9)
+CHUNK = make_train_chunk(Update(loss, TX, ema=0.9))
 SIDE = make_side(CONFIG, settings=Settings(), spec=Settings(width=9), stats=STATS, data="abc")
 
 

@@ -15,6 +15,7 @@ from jaxcam.errors import DivergedError
 from jaxcam.runs.identity import resolve
 from jaxcam.training.state import (
     Stream,
+    Update,
     check_finite,
     ema_decay,
     init_state,
@@ -48,7 +49,7 @@ def batches(steps):
 def build(*, ema=0.0, augment=None, loss=loss):
     tx = make_optimizer(CONFIG)
     return init_state(init, tx, ROOT, ema=ema > 0), make_train_chunk(
-        loss, tx, augment=augment, ema=ema
+        Update(loss, tx, augment=augment, ema=ema)
     )
 
 
@@ -171,7 +172,7 @@ def test_ema_decay_rises_as_that_of_diffusion_policy():
 
 def test_ema_that_rises_starts_as_the_parameters():
     tx = make_optimizer(CONFIG)
-    chunk = make_train_chunk(loss, tx, ema=0.9, ema_power=0.75)
+    chunk = make_train_chunk(Update(loss, tx, ema=0.9, ema_power=0.75))
     state, _ = chunk(init_state(init, tx, ROOT, ema=True), batches([0]), ROOT)
     assert_equal_trees(state.ema, state.params)
 
@@ -191,7 +192,7 @@ def test_frozen_parameters_stay_and_l2_is_not_decoupled():
 
 def test_seeds_can_be_vmapped():
     tx = make_optimizer(CONFIG)
-    chunk = make_train_chunk(loss, tx)
+    chunk = make_train_chunk(Update(loss, tx))
     roots = jax.vmap(jax.random.key)(jnp.arange(3))
     states = jax.vmap(lambda r: init_state(init, tx, r))(roots)
     both, _ = jax.vmap(chunk, in_axes=(0, None, 0))(states, batches(range(2)), roots)

@@ -31,7 +31,6 @@ def make_act(config: ActConfig, spec: PolicySpec, stats: Stats) -> Policy:
     check_sizes(config.chunk, spec, stats)
     action_scale = action_deviation(stats, config.action_std_floor)
     proprio_scale = proprio_deviation(stats)
-    keyframe_scale = keyframe_deviation(stats) if config.keyframe_weight else None
     init, network = pure(lambda rngs: Act(config, spec, rngs=rngs))
 
     def proprio(obs: Obs) -> jax.Array:
@@ -48,8 +47,8 @@ def make_act(config: ActConfig, spec: PolicySpec, stats: Stats) -> Policy:
         l1 = l1_loss(predicted[..., : spec.action_dim], target, is_pad)
         total = l1 + config.kl_weight * kl
         metrics = {"l1": l1, "kl": kl}
-        if keyframe_scale is not None:
-            keyframe = keyframe_scale.normalised(batch["keyframe"])
+        if config.keyframe_weight:
+            keyframe = keyframe_deviation(stats).normalised(batch["keyframe"])
             metrics["keyframe"] = l1_loss(predicted[..., spec.action_dim :], keyframe, is_pad)
             total += config.keyframe_weight * metrics["keyframe"]
         return total, {"loss": total, **metrics}

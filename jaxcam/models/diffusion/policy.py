@@ -32,7 +32,6 @@ def make_diffusion(config: DiffusionConfig, spec: PolicySpec, stats: Stats) -> P
             f"A crop of {config.crop} pixels does not fit in {spec.height}x{spec.width}."
         )
     action_scale, proprio_scale = action_range(stats), proprio_range(stats)
-    keyframe_scale = keyframe_deviation(stats) if config.keyframe_weight else None
     init, network = pure(lambda rngs: Diffusion(config, spec, rngs=rngs))
     chunk = (config.chunk, spec.action_dim)
 
@@ -58,8 +57,8 @@ def make_diffusion(config: DiffusionConfig, spec: PolicySpec, stats: Stats) -> P
         noise = jax.random.normal(keys[2], target.shape)
         total = mse = net.noise_loss(target, is_pad, conditions, noise, t)
         metrics = {"mse": mse}
-        if net.keyframe is not None and keyframe_scale is not None:
-            keyframe = keyframe_scale.normalised(batch["keyframe"])
+        if net.keyframe is not None:
+            keyframe = keyframe_deviation(stats).normalised(batch["keyframe"])
             error = jnp.abs(net.keyframe(conditions[0]).reshape(keyframe.shape) - keyframe)
             metrics["keyframe"] = padded_mean(error, is_pad, "valid")
             total += config.keyframe_weight * metrics["keyframe"]
