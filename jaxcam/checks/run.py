@@ -19,8 +19,9 @@ from jaxcam.files.jsonl import read_jsonl
 from jaxcam.pipeline import collect_config
 from jaxcam.results.stats import USUAL, Row, is_finished, latest_rows
 from jaxcam.runs.environment import environment
-from jaxcam.training.checkpoint import CONVENTION, checkpoint_steps
+from jaxcam.training.checkpoint import checkpoint_steps
 from jaxcam.training.digests import DamagedError, read_all
+from jaxcam.training.side import CONVENTION
 
 LEAST_GOOD = 0.9
 """Share of updates that must have been finite."""

@@ -44,7 +44,8 @@ from jaxcam.runs.folder import RunDir
 from jaxcam.runs.identity import resolve
 from jaxcam.sim.actions import action_dim
 from jaxcam.sim.world import PROPRIO_DIM
-from jaxcam.training.checkpoint import Checkpoints, PolicyInputs, load_policy_inputs, make_side
+from jaxcam.training.checkpoint import Checkpoints, PolicyInputs, load_policy_inputs
+from jaxcam.training.side import make_side
 from jaxcam.training.state import init_state, make_optimizer
 
 VERSION = "0.4.4"

@@ -15,8 +15,8 @@ from jaxcam.models import Batch, Policy
 from jaxcam.models.weights.load import Weights, load_after
 from jaxcam.runs.folder import RunDir
 from jaxcam.runs.interrupts import Interrupt
-from jaxcam.training.checkpoint import make_side
 from jaxcam.training.records import Records
+from jaxcam.training.side import make_side
 from jaxcam.training.side_by_side import Run, SideBySide, batches
 from jaxcam.training.state import TrainState, check_finite, init_state, make_optimizer
 

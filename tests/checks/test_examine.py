@@ -38,7 +38,8 @@ from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, SimError
 from jaxcam.rays import Camera
 from jaxcam.runs.identity import resolve
-from jaxcam.training.checkpoint import Checkpoints, make_side
+from jaxcam.training.checkpoint import Checkpoints
+from jaxcam.training.side import make_side
 from jaxcam.training.state import init_state, make_optimizer
 
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
