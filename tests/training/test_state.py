@@ -150,6 +150,22 @@ def test_augment_sees_a_new_key_each_step():
     assert len(set(np.asarray(metrics["drawn"]).tolist())) == 4
 
 
+def test_crop_and_dropout_of_one_step_are_drawn_apart():
+    """With one key for both, what is cut off would tell what is dropped."""
+
+    def augment(batch, key):
+        return {**batch, "x": batch["x"] * 0 + jax.random.uniform(key)}
+
+    def reading(params, batch, key):
+        value, _ = loss(params, batch, key)
+        return value, {"cropped": batch["x"][0, 0], "dropped": jax.random.uniform(key)}
+
+    state, chunk = build(augment=augment, loss=reading)
+    _, metrics = chunk(state, batches(range(4)), ROOT)
+    numbers = np.concatenate([metrics["cropped"], metrics["dropped"]])
+    assert len(set(numbers.tolist())) == 8
+
+
 def test_ema_follows_and_off_costs_nothing():
     state, chunk = build(ema=0.9)
     start = np.asarray(state.params["w"])
