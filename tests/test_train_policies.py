@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shutil
 
 import jax
 import numpy as np
@@ -51,11 +52,11 @@ def toy_policy(config):
     return make_policy(settings, spec, tiny_training.dataset().stats())
 
 
-def toy_run(policy, folder, steps):
-    """Trains a run as `train` does once it has data."""
+def toy_run(policy, folder):
+    """Trains a run as `train` does once it has data; the state at its end."""
     preset, changes = TOY[policy]
     config = TrainConfig(
-        policy=policy, preset=preset, model=changes, steps=steps, batch=4, lr=1e-3,
+        policy=policy, preset=preset, model=changes, steps=UPDATES, batch=4, lr=1e-3,
         schedule="constant", warmup=0, ema=0.9, resolution=tiny_training.PIXELS, demos=4,
         validation=2, log_every=1, eval_every=3, save_every=3, steps_per_call=1,
         run_dir=str(folder),
@@ -69,15 +70,16 @@ def toy_run(policy, folder, steps):
 @pytest.mark.parametrize("policy", NAMES["policy"])
 def test_every_policy_trains_resumes_and_is_rebuilt(policy, tmp_path):
     whole, parts = tmp_path / "whole", tmp_path / "parts"
-    state = toy_run(policy, whole, UPDATES)
+    state = toy_run(policy, whole)
     rows = read_jsonl(whole / "metrics.jsonl")
     assert [row["step"] for row in rows] == [*range(1, UPDATES + 1)]
     # The fixed validation batch tells whether it learns: its loss draws nothing anew.
     before, after = (row["val_loss"] for row in rows if "val_loss" in row)
     assert after < before
 
-    toy_run(policy, parts, UPDATES // 2)
-    toy_run(policy, parts, UPDATES)
+    shutil.copytree(whole, parts)  # as a kill after the checkpoint in the middle leaves it
+    shutil.rmtree(parts / "checkpoints" / str(UPDATES))
+    toy_run(policy, parts)
     there, here = (read_all(run / "checkpoints" / str(UPDATES))[1] for run in (whole, parts))
     assert there.keys() == here.keys()
     for name, leaf in there.items():
