@@ -32,10 +32,10 @@ import numpy as np
 from jaxcam.config.train import TrainConfig
 from jaxcam.models import FAMILIES, Policy, PolicySpec, make_policy
 from jaxcam.models.crops import window
-from jaxcam.models.diffusion import Diffusion
+from jaxcam.models.diffusion.network import Diffusion
 from jaxcam.models.policy import blank_stats, pure
 from jaxcam.runs.identity import resolve
-from jaxcam.training.state import init_state, make_optimizer, make_train_chunk
+from jaxcam.training.state import Update, init_state, make_optimizer, make_train_chunk
 
 OBSERVATIONS = 50
 BATCH = 8
@@ -160,7 +160,7 @@ def train_step(kind: str) -> Callable[[], Times]:
     policy, config = make(kind, "paper", compute_dtype="float32", **plain)
     tx, root = make_optimizer(config), jax.random.key(0)
     state = [init_state(policy.init, tx, root)]
-    update = make_train_chunk(policy.loss, tx)
+    update = make_train_chunk(Update(policy.loss, tx))
     batch = {k: jnp.asarray(v[None]) for k, v in make_batch(policy, BATCH).items()}
 
     def step() -> Any:

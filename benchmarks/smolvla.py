@@ -25,7 +25,8 @@ from rich.table import Table
 from jaxcam.config.train import TrainConfig
 from jaxcam.models import Policy, PolicySpec, make_policy, policy_settings
 from jaxcam.runs.identity import resolve
-from jaxcam.training.state import init_state, make_optimizer, train_step
+from jaxcam.sim import make_task
+from jaxcam.training.state import Update, init_state, make_optimizer, train_step
 
 ACTIONS, PROPRIO, WORDS = 7, 8, 6
 UNUSED = 49280 * 960 + 960
@@ -37,7 +38,7 @@ def make(preset: str, views: int, remat: bool) -> tuple[TrainConfig, Policy]:
     changes = (f"tokens={(1,) * WORDS}", f"remat={remat}")
     run = TrainConfig(policy="smolvla", preset=preset, views=views, model=changes)
     run = resolve(run, accelerator=True)
-    settings = policy_settings(run)
+    settings = policy_settings(run, make_task(run.task).prompt)
     spec = PolicySpec(ACTIONS, PROPRIO, views, run.resolution, run.resolution, settings.chunk)
     stats = {f"action_{k}": np.ones(ACTIONS) for k in ("mean", "std")}
     stats |= {f"proprio_{k}": np.ones(PROPRIO) for k in ("mean", "std")}
@@ -71,7 +72,7 @@ def lower(preset: str, views: int, batch: int, remat: bool) -> tuple[Any, ...]:
     root = jax.eval_shape(jax.random.key, 0)
     state = jax.eval_shape(lambda key: init_state(policy.init, tx, key), root)
     shapes = batch_shapes(policy.spec, batch)
-    step = jax.jit(partial(train_step, loss=policy.loss, tx=tx), donate_argnums=0)
+    step = jax.jit(partial(train_step, Update(policy.loss, tx)), donate_argnums=0)
     return policy, state, shapes, step.lower(state, shapes, root)
 
 

@@ -11,7 +11,7 @@ import logging
 import os
 import sys
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
 import jax
@@ -176,7 +176,7 @@ def copied(mesh: Mesh, tree: T, *, donate: bool = False) -> T:
     return jax.device_put(tree, replicated(mesh), donate=donate)
 
 
-def spread(mesh: Mesh, batch: dict[str, Any], axis: int = 0) -> dict[str, jax.Array]:
+def spread(mesh: Mesh, batch: Mapping[str, Any], axis: int = 0) -> dict[str, jax.Array]:
     """A batch laid over the mesh.
 
     Args:

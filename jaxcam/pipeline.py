@@ -139,15 +139,23 @@ def training_data(configs: Sequence[TrainConfig], console: Console | None) -> Da
     else:
         demos = collect(CollectConfig.of(config), console)
     samples = Samples(Layout.of(demos), len(demos.train))
-    seeds, obs_steps = [c.seed for c in configs], policy_settings(config).obs_steps
+    seeds, obs_steps = [c.seed for c in configs], policy_settings(config, task.prompt).obs_steps
     wanted = samples.wanted(seeds, config.steps, config.batch, config.views, obs_steps)
     frames = load_frames(demos, config.resolution, console, wanted)
     return make_dataset(demos, frames, config.action_space, task.scene(config.scene))
 
 
 def policy_of(config: TrainConfig, stats: Stats | None = None) -> Policy:
-    """The policy that is trained; without statistics, one of the same shapes."""
-    settings = policy_settings(config)
+    """The policy that a run trains.
+
+    Args:
+        config: Resolved settings.
+        stats: Statistics of its demonstrations; without them the policy has the same shapes only.
+
+    Raises:
+        ConfigError: Its settings do not go together.
+    """
+    settings = policy_settings(config, make_task(config.task).prompt)
     spec = PolicySpec(
         action_dim=action_dim(config.action_space),
         proprio_dim=PROPRIO_DIM,

@@ -9,7 +9,8 @@ from conftest import TINY
 from jaxcam.config.fields import to_json
 from jaxcam.config.train import TrainConfig
 from jaxcam.runs.identity import resolve
-from jaxcam.training.checkpoint import Checkpoints, make_side
+from jaxcam.training.checkpoint import Checkpoints
+from jaxcam.training.side import make_side
 from jaxcam.training.state import init_state, make_optimizer
 
 CONFIG = resolve(TrainConfig(**TINY, steps=6, save_every=1, pairs=3), accelerator=False)

@@ -7,10 +7,11 @@ from functools import cache
 import jax
 import numpy as np
 
+from jaxcam.config.presets import NAMES
 from jaxcam.models import ACT_PRESETS, ActConfig, Policy, PolicySpec, make_policy
-from jaxcam.models.fusion import NOMINAL_POSE
+from jaxcam.models.conditioning import NOMINAL_POSE
 
-CONDITIONINGS = ("none", "token", "early", "late", "keypoints")
+CONDITIONINGS = NAMES["conditioning"]
 CHUNK, ACTION, PROPRIO = 4, 3, 5
 
 

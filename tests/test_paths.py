@@ -21,7 +21,8 @@ from jaxcam.runs.grid import read_grid
 from jaxcam.runs.identity import resolve
 from jaxcam.sim.actions import action_dim
 from jaxcam.sim.world import PROPRIO_DIM
-from jaxcam.training.checkpoint import Checkpoints, checkpoint_steps, make_side
+from jaxcam.training.checkpoint import Checkpoints, checkpoint_steps
+from jaxcam.training.side import make_side
 from jaxcam.training.state import init_state, make_optimizer
 
 SIDE = 16

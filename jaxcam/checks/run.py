@@ -21,8 +21,9 @@ from jaxcam.errors import JaxcamError
 from jaxcam.files.jsonl import read_jsonl
 from jaxcam.files.paths import absolute, home
 from jaxcam.runs.environment import environment
-from jaxcam.training.checkpoint import CONVENTION, checkpoint_steps
+from jaxcam.training.checkpoint import checkpoint_steps
 from jaxcam.training.digests import DamagedError, read_all
+from jaxcam.training.side import CONVENTION
 
 LEAST_GOOD = 0.9
 """Share of updates that must have been finite."""

@@ -7,25 +7,21 @@ stretch of them, so a resumed run, another prefetch depth or other machines see 
 from collections.abc import Generator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from jaxcam.data.demos import Demo, Demos
 from jaxcam.data.pictures import Frames
 from jaxcam.data.samples import Samples, history
+from jaxcam.models.normalization import STD_FLOOR
+from jaxcam.models.policy import Batch
 from jaxcam.rays import invert
 from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.sim.actions import demo_actions
 from jaxcam.sim.world import World
 
-Batch = dict[str, Any]
-"""NumPy arrays by name, first axis the samples."""
-
 PREFETCH = 4
 """Calls' worth of batches made ready ahead by a thread."""
-STD_FLOOR = 1e-4
-"""Least standard deviation that actions and proprioception are divided by (authors' code)."""
 
 
 @dataclass(frozen=True)

@@ -17,13 +17,12 @@ from jaxcam.evaluation.checkpoint import Wanted, evaluate, rows_of
 from jaxcam.evaluation.evaluator import Candidate, Evaluator
 from jaxcam.files.jsonl import read_jsonl
 from jaxcam.files.paths import absolute
-from jaxcam.models import rebuild_policy
 from jaxcam.reports.run_figures import write_plots
 from jaxcam.reports.run_page import write_report
 from jaxcam.results.protocol import missing, protocol_of
 from jaxcam.results.stats import latest_rows, success_rate
 from jaxcam.runs.rollouts import read_rows, rows_file
-from jaxcam.training.checkpoint import checkpoint_steps, load_policy_inputs
+from jaxcam.training.checkpoint import checkpoint_steps, load_policy_inputs, rebuild_policy
 
 
 def evaluate_run(config: EvaluateConfig, folder: Path, console: Console | None) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from jaxcam.errors import CheckpointError
 from jaxcam.models import FAMILIES, PolicySpec
 from jaxcam.models.fusion import IMAGENET_MEAN, IMAGENET_STD
+from jaxcam.models.normalization import LEROBOT_STD_FLOOR
 from jaxcam.models.weights.names_robot import Arrays, restore_act, restore_diffusion
 
 STATE, ACTION, IMAGE = "observation.state", "action", "observation.images.view_{}"
@@ -191,7 +192,11 @@ def settings_of(config: Mapping[str, Any], image_scaling: str) -> tuple[Any, Pol
     same = {ours: config[theirs] for theirs, ours in layout.same.items()}
     same = {k: tuple(v) if isinstance(v, list) else v for k, v in same.items()}
     if name == "act":
-        same |= {"encoder_width": same["width"], "pad_head": False, "action_std_floor": 1e-8}
+        same |= {
+            "encoder_width": same["width"],
+            "pad_head": False,
+            "action_std_floor": LEROBOT_STD_FLOOR,
+        }
     else:
         same["sample_steps"] = same["sample_steps"] or same["noising_steps"]
         same |= {

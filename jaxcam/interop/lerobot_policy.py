@@ -31,9 +31,13 @@ from jaxcam.interop.lerobot_layout import (
     settings_of,
 )
 from jaxcam.models import FAMILIES, Params, PolicySpec, make_policy
-from jaxcam.models.act import action_scale, proprio_scale
-from jaxcam.models.diffusion import middle_and_half, proprio_middle_and_half
-from jaxcam.models.transformer import sine_table
+from jaxcam.models.act.transformer import sine_table
+from jaxcam.models.normalization import (
+    action_deviation,
+    action_range,
+    proprio_deviation,
+    proprio_range,
+)
 from jaxcam.models.weights.load import load, read_weights, record_weights, show, to_torch
 from jaxcam.models.weights.names import MAPS
 from jaxcam.models.weights.names_robot import Arrays
@@ -41,7 +45,8 @@ from jaxcam.runs.folder import RunDir
 from jaxcam.runs.identity import resolve
 from jaxcam.sim.actions import action_dim
 from jaxcam.sim.world import PROPRIO_DIM
-from jaxcam.training.checkpoint import Checkpoints, PolicyInputs, load_policy_inputs, make_side
+from jaxcam.training.checkpoint import Checkpoints, PolicyInputs, load_policy_inputs
+from jaxcam.training.side import make_side
 from jaxcam.training.state import init_state, make_optimizer
 
 VERSION = "0.4.4"
@@ -106,11 +111,10 @@ def _scales(name: str, settings: Any, spec: PolicySpec, stats: Mapping[str, np.n
         values = {k: np.asarray(stats[f"{ours}_{k}"], np.float32) for k in STATISTICS}
         if name == "act":
             floor = settings.action_std_floor
-            std = values["std"]
-            values["std"] = action_scale(std, floor) if ours == "action" else proprio_scale(std)
+            action, proprio = action_deviation(stats, floor), proprio_deviation(stats)
+            values["std"] = (action if ours == "action" else proprio).size
         else:
-            action, proprio = middle_and_half(stats, "action", 1e-6), proprio_middle_and_half(stats)
-            middle, half = action if ours == "action" else proprio
+            middle, half = action_range(stats) if ours == "action" else proprio_range(stats)
             values |= {"min": middle - half, "max": middle + half}
         found |= {f"{feature}.{k}": v for k, v in values.items()}
     mean, std = (x.reshape(3, 1, 1) for x in SCALINGS[settings.image_scaling])

@@ -1,16 +1,15 @@
 """Policies: networks defined with Flax nnx, handed out as pure functions over dicts of arrays."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from jaxcam.config.fields import with_overrides
-from jaxcam.models import act, diffusion, smolvla
-from jaxcam.models.act import ACT_PRESETS, ActConfig
+from jaxcam.config.train import TrainConfig
+from jaxcam.models.act.config import ACT_PRESETS, ActConfig
+from jaxcam.models.act.policy import FAMILY as ACT
+from jaxcam.models.diffusion.policy import FAMILY as DIFFUSION
 from jaxcam.models.policy import Batch, Family, Key, Obs, Params, Policy, PolicySpec, Stats
-
-if TYPE_CHECKING:
-    from jaxcam.config.train import TrainConfig
-    from jaxcam.training.checkpoint import PolicyInputs
+from jaxcam.models.smolvla.policy import FAMILY as SMOLVLA
 
 __all__ = [
     "ACT_PRESETS",
@@ -26,13 +25,12 @@ __all__ = [
     "Stats",
     "make_policy",
     "policy_settings",
-    "rebuild_policy",
 ]
 
 FAMILIES: dict[str, Family[Any]] = {
-    "act": act.FAMILY,
-    "diffusion": diffusion.FAMILY,
-    "smolvla": smolvla.FAMILY,
+    "act": ACT,
+    "diffusion": DIFFUSION,
+    "smolvla": SMOLVLA,
 }
 """Every kind of policy by the name it has on the command line."""
 
@@ -55,15 +53,17 @@ def make_policy(config: Any, spec: PolicySpec, stats: Stats) -> Policy:
     return family.make(config, spec, stats)
 
 
-def policy_settings(config: "TrainConfig") -> Any:
-    """The network's settings that a run's resolved settings ask for."""
+def policy_settings(config: TrainConfig, prompt: str) -> Any:
+    """The network's settings that a run's resolved settings ask for.
+
+    Args:
+        config: Resolved settings of the run.
+        prompt: What its task asks for, in words.
+
+    Raises:
+        ConfigError: A change that `config.model` asks for is unknown or cannot work.
+    """
     family = FAMILIES[config.policy]
     settings = family.conditioned(family.presets[config.preset], config.conditioning)
     settings = with_overrides(replace(settings, compute_dtype=config.precision), config.model)
-    return family.told(settings, config.task)
-
-
-def rebuild_policy(inputs: "PolicyInputs") -> Policy:
-    """The policy of a checkpoint, as it was trained."""
-    family = FAMILIES[inputs.config.policy]
-    return family.make(family.config(**inputs.settings), PolicySpec(**inputs.spec), inputs.stats)
+    return family.instructed(settings, prompt)

@@ -4,22 +4,19 @@ This is the only door through which pictures change, and it moves K with the pix
 computed afterwards belongs to the picture that the policy sees (paper, section V-A3).
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 
-Batch = dict[str, Any]
-"""Arrays by name."""
+from jaxcam.models.policy import Batch
 
 
 def random_crop(batch: Batch, key: jax.Array, *, smallest: float) -> Batch:
     """Crops a random square of every picture and resizes it back, K moving along.
 
     Args:
-        batch: with `image` [..., H, W, 3] and `K` [..., 3, 3].
-        key: every picture draws its own side and corner from it.
-        smallest: least side of the square as a share of the picture; the side is uniform in
+        batch: With `image` [..., H, W, 3] and `K` [..., 3, 3].
+        key: Every picture draws its own side and corner from it.
+        smallest: Least side of the square as a share of the picture; the side is uniform in
             [smallest, 1]. 1 leaves the batch as it is.
 
     Returns:
@@ -49,9 +46,9 @@ def window(batch: Batch, side: int, key: jax.Array | None) -> Batch:
     """Cuts a square out of every picture, K moving along.
 
     Args:
-        batch: with `image` [..., H, W, 3] and `K` [..., 3, 3].
-        side: of the square in pixels.
-        key: every picture draws its own corner from it; without it the middle is cut out.
+        batch: With `image` [..., H, W, 3] and `K` [..., 3, 3].
+        side: Side of the square in pixels.
+        key: Every picture draws its own corner from it; without it the middle is cut out.
 
     Returns:
         `image` and `K` alone.

@@ -20,9 +20,9 @@ Obs: TypeAlias = Mapping[str, jax.Array]
 """``image`` uint8 or float32 in 0 to 255 [B, V, H, W, 3], ``K`` [B, V, 3, 3] in pixels of it,
 ``base_from_camera`` [B, V, 4, 4] with OpenCV axes, ``proprio`` [B, P]."""
 
-Batch: TypeAlias = Mapping[str, jax.Array]
-"""An observation with ``action`` float32 [B, T, A] in raw units, ``keyframe`` float32 [B, T, 3]
-(base frame, metres) and ``is_pad`` bool [B, T]."""
+Batch: TypeAlias = Mapping[str, Any]
+"""Arrays of NumPy or JAX by name: an observation with ``action`` float32 [B, T, A] in raw units,
+``keyframe`` float32 [B, T, 3] (base frame, metres) and ``is_pad`` bool [B, T]."""
 
 Stats: TypeAlias = Mapping[str, np.ndarray]
 """``action``, ``proprio`` and ``keyframe`` with ``_mean``, ``_std``, ``_min`` and ``_max`` each, of
@@ -82,14 +82,15 @@ class Family(Generic[C]):
         make: Makes the policy from settings, sizes and statistics.
         conditioned: ``conditioned(config, conditioning)`` is the same policy, told of its cameras
             in another way.
-        told: ``told(config, task)`` is the same policy, told what to do by the task's name.
+        instructed: ``instructed(config, prompt)`` is the same policy, told what to do in words;
+            those that do not read stay as they are.
     """
 
     config: type[C]
     presets: Mapping[str, C]
     make: Callable[[C, PolicySpec, Stats], Policy]
     conditioned: Callable[[C, str], C]
-    told: Callable[[C, str], C] = lambda config, task: config
+    instructed: Callable[[C, str], C] = lambda config, prompt: config
 
 
 def pure(

@@ -8,7 +8,6 @@ A checkpoint is a folder of items: `params`, `ema` if the run keeps one, `train`
 and `manifest`, whose `side` holds what is needed to rebuild the policy and to judge a resume.
 """
 
-import dataclasses
 import json
 import logging
 import re
@@ -26,7 +25,7 @@ from jaxcam.config.fields import from_json
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import CheckpointError
 from jaxcam.files.paths import absolute
-from jaxcam.runs.environment import package_versions
+from jaxcam.models import FAMILIES, Policy, PolicySpec
 from jaxcam.training.digests import (
     DamagedError,
     alone,
@@ -36,16 +35,16 @@ from jaxcam.training.digests import (
     from_plain,
     item_of,
     leaf_name,
+    newest_whole,
     read_all,
     read_params,
     seal,
+    steps_in,
     to_plain,
     write_digests,
 )
+from jaxcam.training.side import check_side
 from jaxcam.training.state import TrainState
-
-CONVENTION = 1
-"""Number of the ray, camera and action conventions that the weights were trained with."""
 
 MASKED = "opt/inner_state/"
 """What names of the optimizer's state begin with."""
@@ -75,30 +74,6 @@ class PolicyInputs(NamedTuple):
     params: Any
     """Parameters to evaluate: the moving average if the run keeps one."""
     step: int
-
-
-def make_side(
-    config: TrainConfig, *, settings: Any, spec: Any, stats: Mapping[str, Any], data: Any
-) -> dict[str, Any]:
-    """What is saved beside the arrays.
-
-    Args:
-        config: The resolved settings of the run.
-        settings: The policy's own settings, a dataclass.
-        spec: The policy's sizes, a dataclass.
-        stats: Normalisation statistics, a dict of arrays.
-        data: Fingerprint of the training data, anything JSON can hold.
-    """
-    return {
-        "seed": config.seed,
-        "config": dataclasses.asdict(config),
-        "settings": dataclasses.asdict(settings),
-        "spec": dataclasses.asdict(spec),
-        "stats": dict(stats),
-        "data": data,
-        "convention": CONVENTION,
-        "packages": package_versions(),
-    }
 
 
 class Checkpoints:
@@ -144,7 +119,7 @@ class Checkpoints:
 
         Args:
             state: Training state.
-            side: From `make_side`.
+            side: From `jaxcam.training.side.make_side`.
 
         Raises:
             CheckpointError: There is no space, or writing failed. Older checkpoints are untouched.
@@ -188,7 +163,7 @@ class Checkpoints:
 
         Args:
             template: State of the same structure, arrays or shapes (`jax.eval_shape`).
-            expect: Entries of the side that must be as given, such as those of `make_side`.
+            expect: Entries of the side that must be as given, see `check_side`.
 
         Returns:
             State and side, or None if nothing was saved yet.
@@ -198,10 +173,10 @@ class Checkpoints:
         """
         if not self.steps():
             return None
-        manifest, leaves, damaged = _newest_whole(self._directory, read_all)
+        manifest, leaves, damaged = newest_whole(self._directory, read_all)
         side = from_plain(manifest["side"])
         where = f"Checkpoint {manifest['step']} in {self._directory}"
-        _check_side(where, manifest["side"], expect or {})
+        check_side(where, manifest["side"], expect or {})
         state = _fill(where, template, leaves)
         for step in damaged:
             self._set_aside(step)
@@ -248,11 +223,11 @@ def load_policy_inputs(run_dir: str | Path, step: int | None = None) -> PolicyIn
         CheckpointError: There is no such checkpoint, it is damaged, or it is of another version.
     """
     directory = absolute(run_dir) / "checkpoints"
-    known = _steps(directory)
+    known = steps_in(directory)
     if not known:
         raise CheckpointError(f"No checkpoint in {directory}. Train first, or check the path.")
     if step is None:
-        manifest, leaves, _ = _newest_whole(directory, read_params)
+        manifest, leaves, _ = newest_whole(directory, read_params)
     elif step in known:
         try:
             manifest, leaves = read_params(directory / str(step))
@@ -263,7 +238,7 @@ def load_policy_inputs(run_dir: str | Path, step: int | None = None) -> PolicyIn
             f"No checkpoint of step {step} in {directory}. Known: {', '.join(map(str, known))}."
         )
     where = f"Checkpoint {manifest['step']} in {directory}"
-    _check_side(where, manifest["side"], {})
+    check_side(where, manifest["side"], {})
     side = from_plain(manifest["side"])
     return PolicyInputs(
         config=from_json(TrainConfig, json.dumps(side["config"])),
@@ -275,15 +250,15 @@ def load_policy_inputs(run_dir: str | Path, step: int | None = None) -> PolicyIn
     )
 
 
+def rebuild_policy(inputs: PolicyInputs) -> Policy:
+    """The policy of a checkpoint, as it was trained."""
+    family = FAMILIES[inputs.config.policy]
+    return family.make(family.config(**inputs.settings), PolicySpec(**inputs.spec), inputs.stats)
+
+
 def checkpoint_steps(run_dir: str | Path) -> list[int]:
     """Steps of a run folder that have a checkpoint, oldest first."""
-    return _steps(absolute(run_dir) / "checkpoints")
-
-
-def _steps(directory: Path) -> list[int]:
-    if not directory.is_dir():
-        return []
-    return sorted(int(p.name) for p in directory.iterdir() if p.name.isdigit())
+    return steps_in(absolute(run_dir) / "checkpoints")
 
 
 def _remove_unfinished(directory: Path) -> None:
@@ -302,48 +277,6 @@ def _nest(leaves: Mapping[str, np.ndarray]) -> dict[str, Any]:
     return tree
 
 
-def _newest_whole(directory: Path, read: Any) -> tuple[dict[str, Any], dict[str, Any], list[int]]:
-    """Manifest and arrays of the newest whole checkpoint, and the damaged steps after it."""
-    reasons: dict[int, str] = {}
-    for step in reversed(_steps(directory)):
-        try:
-            manifest, leaves = read(directory / str(step))
-        except DamagedError as error:
-            reasons[step] = str(error)
-            _log.warning("CHECKPOINT %d IS DAMAGED, trying an older one: %s.", step, error)
-            continue
-        if reasons:
-            _log.warning("Using checkpoint %d instead of %d.", step, max(reasons))
-        return manifest, leaves, list(reasons)
-    listed = "; ".join(f"{step}: {reason}" for step, reason in reasons.items())
-    raise CheckpointError(f"No checkpoint in {directory} is whole. {listed}.")
-
-
-def _check_side(where: str, side: Mapping[str, Any], expect: Mapping[str, Any]) -> None:
-    if side["convention"] != CONVENTION:
-        raise CheckpointError(
-            f"{where} was trained with conventions {side['convention']}, this version of jaxcam "
-            f"has {CONVENTION}: its rays or actions mean something else here."
-        )
-    for key, value in expect.items():
-        old, new = side.get(key), to_plain(value)
-        if old == new or key in ("convention", "packages", "config"):
-            continue
-        if isinstance(old, dict) and isinstance(new, dict):
-            # A setting the checkpoint lacks is newer than it, and had its default then.
-            fields = sorted(k for k in old if old[k] != new.get(k))
-            if not fields:
-                continue
-            listed = "; ".join(f"{k}: {old.get(k)!r} -> {new.get(k)!r}" for k in fields)
-        else:
-            listed = f"{old!r} -> {new!r}"
-        raise CheckpointError(f"{where} was made with other {key} ({listed}). Use another run_dir.")
-    changed = [f"{k} {v} -> {now}" for k, v in side["packages"].items()
-               if (now := package_versions().get(k)) != v]  # fmt: skip
-    if changed:
-        _log.warning("Packages changed, so results are not bit-exact: %s.", ", ".join(changed))
-
-
 def _fill(where: str, template: TrainState, leaves: Mapping[str, np.ndarray]) -> TrainState:
     """The template's structure with the checkpoint's arrays."""
     if not any(name.startswith(MASKED) for name in leaves):
@@ -351,11 +284,11 @@ def _fill(where: str, template: TrainState, leaves: Mapping[str, np.ndarray]) ->
         leaves = {re.sub("^opt/", MASKED, name): leaf for name, leaf in leaves.items()}
     paths, structure = jax.tree_util.tree_flatten_with_path(template)
     wanted = {leaf_name(path): f"{leaf.dtype} {tuple(leaf.shape)}" for path, leaf in paths}
-    found = {name: f"{leaf.dtype} {leaf.shape}" for name, leaf in leaves.items()}
+    stored = {name: f"{leaf.dtype} {leaf.shape}" for name, leaf in leaves.items()}
     wrong = [
-        f"{name} is {found.get(name, 'missing')}, expected {wanted.get(name, 'nothing')}"
-        for name in sorted(wanted.keys() | found.keys())
-        if wanted.get(name) != found.get(name)
+        f"{name} is {stored.get(name, 'missing')}, expected {wanted.get(name, 'nothing')}"
+        for name in sorted(wanted.keys() | stored.keys())
+        if wanted.get(name) != stored.get(name)
     ]
     if wrong:
         more = f"; and {len(wrong) - 5} more" if len(wrong) > 5 else ""

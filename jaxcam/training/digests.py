@@ -8,7 +8,8 @@ them, the manifest alone is what arrays are held against.
 
 import hashlib
 import json
-from collections.abc import Mapping
+import logging
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +17,18 @@ import jax
 import numpy as np
 import orbax.checkpoint as ocp
 
+from jaxcam.errors import CheckpointError
 from jaxcam.files.jsonl import write_atomically
 from jaxcam.files.paths import absolute
 
 FILES = "files.json"
 """File of a checkpoint with the digests of all its others."""
+
+
+Read = Callable[[Path], tuple[dict[str, Any], dict[str, Any]]]
+"""Reads a checkpoint's folder: its manifest, and arrays by name."""
+
+_log = logging.getLogger(__name__)
 
 
 class DamagedError(Exception):
@@ -91,12 +99,12 @@ def _check_files(folder: Path, item: str) -> None:
     if stored != seal({"files": files}):
         raise DamagedError(f"{FILES} has changed since it was written")
     try:
-        found = _digests(folder, item)
+        now = _digests(folder, item)
     except OSError as error:
         raise DamagedError(f"{item} cannot be read ({brief(error)})") from error
-    owned = {n: d for n, d in files.items() if n.startswith(f"{item}/") or n in found}
-    for name in sorted(owned | found):
-        if owned.get(name) != found.get(name):
+    owned = {n: d for n, d in files.items() if n.startswith(f"{item}/") or n in now}
+    for name in sorted(owned | now):
+        if owned.get(name) != now.get(name):
             raise DamagedError(f"the file {name} has changed since it was written")
 
 
@@ -123,12 +131,12 @@ def _read_item(folder: Path, item: str, described: Mapping[str, list[Any]]) -> d
         handler = ocp.PyTreeCheckpointHandler(multiprocessing_options=alone())
         with ocp.Checkpointer(handler, multiprocessing_options=alone()) as checkpointer:
             args = ocp.args.PyTreeRestore(restore_args=as_numpy)
-            found = checkpointer.restore(folder / item, args=args) if stored else {}
+            arrays = checkpointer.restore(folder / item, args=args) if stored else {}
     except Exception as error:  # Orbax raises bare exceptions for truncated files.
         raise DamagedError(f"{item} cannot be read ({brief(error)})") from error
     leaves = {}
     for name, (dtype, shape, digest) in described.items():
-        leaf = found.get(name) if name in stored else np.zeros(shape, dtype)
+        leaf = arrays.get(name) if name in stored else np.zeros(shape, dtype)
         if leaf is None or describe(leaf) != [dtype, shape, digest]:
             raise DamagedError(f"{name} has changed since it was written")
         leaves[name] = leaf
@@ -156,6 +164,38 @@ def read_params(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     manifest = _read_manifest(folder)
     has_ema = any(item_of(n) == "ema" for n in manifest["leaves"])
     return manifest, _read_items(folder, manifest, {"ema" if has_ema else "params"})
+
+
+def steps_in(directory: Path) -> list[int]:
+    """Steps that have a checkpoint in a folder of them, oldest first."""
+    if not directory.is_dir():
+        return []
+    return sorted(int(p.name) for p in directory.iterdir() if p.name.isdigit())
+
+
+def newest_whole(directory: Path, read: Read) -> tuple[dict[str, Any], dict[str, Any], list[int]]:
+    """Manifest and arrays of the newest whole checkpoint, and the damaged steps after it.
+
+    Args:
+        directory: Folder of a run's checkpoints.
+        read: `read_all` or `read_params`.
+
+    Raises:
+        CheckpointError: None is whole; the message lists why.
+    """
+    reasons: dict[int, str] = {}
+    for step in reversed(steps_in(directory)):
+        try:
+            manifest, leaves = read(directory / str(step))
+        except DamagedError as error:
+            reasons[step] = str(error)
+            _log.warning("CHECKPOINT %d IS DAMAGED, trying an older one: %s.", step, error)
+            continue
+        if reasons:
+            _log.warning("Using checkpoint %d instead of %d.", step, max(reasons))
+        return manifest, leaves, list(reasons)
+    listed = "; ".join(f"{step}: {reason}" for step, reason in reasons.items())
+    raise CheckpointError(f"No checkpoint in {directory} is whole. {listed}.")
 
 
 def to_plain(value: Any) -> Any:

@@ -1,67 +1,24 @@
 """The training loop: every seed from its newest whole checkpoint to the last update."""
 
-import collections
 import contextlib
-import functools
-import logging
-import statistics
-import time
-from collections.abc import Generator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
 
 import jax
-import numpy as np
 from rich.console import Console
 
 from jaxcam.config.train import TrainConfig
 from jaxcam.console.progress import progress
-from jaxcam.data.batches import Batch, Dataset, stacked_batches
-from jaxcam.devices import (
-    copied,
-    data_mesh,
-    from_first,
-    gathered,
-    memory_lacks,
-    part,
-    replicated,
-    shard,
-    spread,
-    stacked,
-)
+from jaxcam.data.batches import Dataset
+from jaxcam.devices import from_first, gathered, memory_lacks
 from jaxcam.errors import DivergedError
-from jaxcam.models import Policy
-from jaxcam.models.crops import random_crop
+from jaxcam.models import Batch, Policy
 from jaxcam.models.weights.load import Weights, load_after
 from jaxcam.runs.folder import RunDir
 from jaxcam.runs.interrupts import Interrupt
-from jaxcam.training.checkpoint import make_side
 from jaxcam.training.records import Records
-from jaxcam.training.state import (
-    TrainState,
-    check_finite,
-    init_state,
-    make_optimizer,
-    make_train_chunk,
-)
-
-EXPLODED = 100
-"""Times its usual size at which a gradient is worth a warning."""
-
-_log = logging.getLogger(__name__)
-
-
-@dataclass
-class _Seed:
-    """A run in training."""
-
-    number: int
-    records: Records
-    state: TrainState
-
-    @property
-    def step(self) -> int:
-        return int(self.state.step)
+from jaxcam.training.side import make_side
+from jaxcam.training.side_by_side import Run, SideBySide, batches
+from jaxcam.training.state import TrainState, check_finite, init_state, make_optimizer
 
 
 class Trainer:
@@ -112,20 +69,20 @@ class Trainer:
         """
         steps = self.config.steps
         with contextlib.ExitStack() as stack:
-            seeds = [
+            trained = [
                 self._begin(config, run, weights, stack)
                 for config, run in zip(configs, runs, strict=True)
             ]
-            if self.console and all(s.step >= steps for s in seeds):
+            if self.console and all(run.step >= steps for run in trained):
                 self.console.print(f"Trained to update {steps} already.")
-            while behind := [s for s in seeds if s.step < steps]:
-                least = min(s.step for s in behind)
-                group = [s for s in behind if s.step == least]
-                others = [s.step for s in behind if s.step > least]
+            while behind := [run for run in trained if run.step < steps]:
+                least = min(run.step for run in behind)
+                group = [run for run in behind if run.step == least]
+                others = [run.step for run in behind if run.step > least]
                 with memory_lacks(*self._size()):
                     if self._advance(group, min(others, default=steps)):
                         break
-        return [s.state for s in seeds]
+        return [run.state for run in trained]
 
     def _size(self) -> tuple[str, str]:
         """What an update is, and what is smaller."""
@@ -143,7 +100,7 @@ class Trainer:
         run: RunDir | None,
         weights: Weights | None,
         stack: contextlib.ExitStack,
-    ) -> _Seed:
+    ) -> Run:
         """A run as it was last saved."""
         policy = self.policy
         side = make_side(
@@ -156,109 +113,58 @@ class Trainer:
         records = stack.enter_context(Records(run, config, side))
         init = load_after(policy.init, weights, config.stem == "new") if weights else policy.init
         fresh = init_state(init, self._tx, jax.random.key(config.seed), ema=config.ema > 0)
-        return _Seed(config.seed, records, from_first(records.restore(fresh)))
+        return Run(config.seed, records, from_first(records.restore(fresh)))
 
-    def _advance(self, group: Sequence[_Seed], goal: int) -> bool:
+    def _advance(self, runs: Sequence[Run], goal: int) -> bool:
         """Updates runs side by side up to `goal`; whether they were stopped before."""
-        config, count, first = self.config, len(group), group[0].step
-        mesh = data_mesh(config.batch // config.accumulate)
-        update = make_train_chunk(
-            self.policy.loss,
-            self._tx,
-            augment=functools.partial(random_crop, smallest=config.crop_min),
-            ema=config.ema,
-            ema_power=config.ema_power,
-            accumulate=config.accumulate,
-            seeds=count,
-            out_shardings=replicated(mesh),
-        )
-        state = copied(mesh, stacked([seed.state for seed in group]), donate=True)
-        # Made where it lies: `device_put` takes no keys to other processes.
-        root = jax.jit(
-            lambda: stacked([jax.random.key(seed.number) for seed in group]),
-            out_shardings=replicated(mesh),
-        )()
-        watches = [_Watch(seed.number) for seed in group]
-        began, recent, stopping = time.perf_counter(), [], False
+        config, first, stopping = self.config, runs[0].step, False
+        group = SideBySide(runs, config, self.policy, self._tx)
+        seeds = [run.seed for run in runs]
+        stream = batches(self.dataset, config, seeds, range(first, goal), **self._sizes)
         with (
-            contextlib.closing(self._batches(group, first, goal)) as batches,
+            contextlib.closing(stream),
             progress(self.console, "training", config.steps, done=first) as advance,
         ):
-            for step, batch in batches:
-                state, metrics = update(state, spread(mesh, batch, 1 if count == 1 else 2), root)
-                recent.append(metrics)
+            for step, batch in stream:
+                group.update(batch)
                 done = step + config.steps_per_call
                 stopping = any(gathered(bool(self.stop)))
                 logs = done % config.log_every == 0 or done == goal
                 saves = done % config.save_every == 0 or done == goal or stopping
-                for i, seed in enumerate(group if logs or saves else ()):
-                    seed.state = part(state, i, count)
-                    if logs:
-                        row = self._row(seed, [part(m, i, count) for m in recent], done, batch)
-                        seed.records.log(row | {"seconds": time.perf_counter() - began})
-                        watches[i].see(row)
-                        advance(0, note=f"loss {row['loss']:.3f}")
-                    if saves:
-                        seed.records.save(seed.state)
-                if logs:
-                    recent = []
-                advance(config.steps_per_call)
+                note = self._record(group, done, batch, logs, saves) if logs or saves else ""
+                advance(config.steps_per_call, note=note)
                 if stopping:
                     break
         return stopping
 
-    def _batches(
-        self, group: Sequence[_Seed], first: int, last: int
-    ) -> Generator[tuple[int, Batch], None, None]:
-        """Batches of this process: those of several runs have the runs as their second axis."""
-        config = self.config
-        streams = [
-            stacked_batches(
-                self.dataset, seed.number, first, last, config.steps_per_call, config.batch,
-                shard(), **self._sizes,
-            )
-            for seed in group
-        ]  # fmt: skip
-        with contextlib.ExitStack() as stack:
-            for stream in streams:
-                stack.enter_context(contextlib.closing(stream))
-            for parts in zip(*streams, strict=True):
-                step, batch = parts[0]
-                if len(group) > 1:
-                    batch = {k: np.stack([b[k] for _, b in parts], 1) for k in batch}
-                yield step, batch
+    def _record(self, group: SideBySide, done: int, batch: Batch, logs: bool, saves: bool) -> str:
+        """Writes down rows of metrics, checkpoints, or both; a note for the progress."""
+        group.hand_out()
+        note = ""
+        for i, (run, watch) in enumerate(zip(group.runs, group.watches, strict=True)):
+            if logs:
+                self._check(run, batch)
+                row = {"step": done, **group.means(i), **self._validation(run, done)}
+                run.records.log(row | {"seconds": group.seconds})
+                watch.look(row)
+                note = f"loss {row['loss']:.3f}"
+            if saves:
+                run.records.save(run.state)
+        if logs:
+            group.forget()
+        return note
 
-    def _row(
-        self, seed: _Seed, metrics: Sequence[Any], done: int, batch: Batch
-    ) -> dict[str, float]:
-        """Means of a run's metrics since the last row, and its validation loss if it is time."""
-        config = self.config
+    def _check(self, run: Run, batch: Batch) -> None:
+        """Stops a run that has diverged, and keeps the batch at which it did."""
         try:
-            check_finite(seed.state, seed=seed.number)
+            check_finite(run.state, seed=run.seed)
         except DivergedError:
-            seed.records.keep_batch(batch)
+            run.records.keep_batch(batch)
             raise
-        means = jax.tree.map(lambda *x: float(np.mean(np.concatenate(x))), *metrics)
-        row = {"step": done, **means}
-        if self._held_out and (done % config.eval_every == 0 or done == config.steps):
-            loss = self._validation_loss(seed.state.eval_params, self._held_out)
-            row["val_loss"] = float(loss)
-        return row
 
-
-class _Watch:
-    """Warns of gradients that explode while they are finite."""
-
-    def __init__(self, seed: int) -> None:
-        self._seed, self._norms = seed, collections.deque[float](maxlen=20)
-
-    def see(self, row: dict[str, float]) -> None:
-        norm = row["grad_norm"]
-        if len(self._norms) > 4 and norm > EXPLODED * (usual := statistics.median(self._norms)):
-            _log.warning(
-                "Seed %d: around update %d the gradient's norm is %.3g, %.0f times the usual "
-                "%.3g: a lower --lr or --clip-norm may help.",
-                self._seed, row["step"], norm, norm / usual, usual,
-            )  # fmt: skip
-        if np.isfinite(norm):
-            self._norms.append(norm)
+    def _validation(self, run: Run, done: int) -> dict[str, float]:
+        """A run's loss on the validation demonstrations, if it is time for it."""
+        due = done % self.config.eval_every == 0 or done == self.config.steps
+        if not self._held_out or not due:
+            return {}
+        return {"val_loss": float(self._validation_loss(run.state.eval_params, self._held_out))}

@@ -21,7 +21,7 @@ class Records:
     Args:
         run: Its folder; None in a process that writes nothing.
         config: Its settings.
-        side: What is saved beside its arrays, see `jaxcam.training.checkpoint.make_side`.
+        side: What is saved beside its arrays, see `jaxcam.training.side.make_side`.
     """
 
     def __init__(self, run: RunDir | None, config: TrainConfig, side: Mapping[str, Any]) -> None:

@@ -6,7 +6,6 @@ stream and the step alone, so a run that was stopped goes on exactly where it wa
 
 import dataclasses
 import enum
-import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -16,9 +15,8 @@ import optax
 
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import DivergedError
+from jaxcam.models.policy import Batch, Params
 
-Params = Any
-Batch = dict[str, jax.Array]
 Metrics = dict[str, jax.Array]
 Loss = Callable[[Params, Batch, jax.Array], tuple[jax.Array, Metrics]]
 Augment = Callable[[Batch, jax.Array], Batch]
@@ -30,11 +28,8 @@ class Stream(enum.IntEnum):
     """What a random number is for. Numbers are part of a run's identity: add, never renumber."""
 
     INIT = 0
-    DATA = 1
     CROP = 2
     DROPOUT = 3
-    POSE = 4
-    EVAL = 5
 
 
 def stream_key(root: jax.Array, stream: Stream, index: int | jax.Array = 0) -> jax.Array:
@@ -66,6 +61,24 @@ class TrainState:
     def eval_params(self) -> Params:
         """The parameters that are evaluated."""
         return self.params if self.ema is None else self.ema
+
+
+@dataclasses.dataclass(frozen=True)
+class Update:
+    """What an update is made of."""
+
+    loss: Loss
+    """A policy's `loss`."""
+    tx: optax.GradientTransformation
+    """The optimizer."""
+    augment: Augment | None = None
+    """Changes the batch by a key, before the loss."""
+    ema: float = 0.0
+    """Largest decay of the moving average."""
+    ema_power: float = 0.0
+    """How the decay rises, see `ema_decay`."""
+    accumulate: int = 1
+    """Parts of the batch that gradients are summed over."""
 
 
 def make_schedule(config: TrainConfig) -> optax.Schedule:
@@ -142,45 +155,31 @@ def init_state(
 
 
 def train_step(
-    state: TrainState,
-    batch: Batch,
-    root: jax.Array,
-    *,
-    loss: Loss,
-    tx: optax.GradientTransformation,
-    augment: Augment | None = None,
-    ema: float = 0.0,
-    ema_power: float = 0.0,
-    accumulate: int = 1,
+    update: Update, state: TrainState, batch: Batch, root: jax.Array
 ) -> tuple[TrainState, Metrics]:
     """One update; skipped, and counted, if loss or gradient are not finite.
 
     Args:
-        state: Before the update.
+        update: What it is made of.
+        state: Before it.
         batch: Samples.
         root: The run's key.
-        loss: A policy's `loss`.
-        tx: Optimizer.
-        augment: Changes the batch by a key, before the loss.
-        ema: Largest decay of the moving average.
-        ema_power: How the decay rises, see `ema_decay`.
-        accumulate: Parts of the batch that gradients are summed over.
 
     Returns:
         The state after the update, and scalars: those of the loss, "loss", "grad_norm", "skipped".
     """
-    if augment is not None:
-        batch = augment(batch, stream_key(root, Stream.CROP, state.step))
+    if update.augment is not None:
+        batch = update.augment(batch, stream_key(root, Stream.CROP, state.step))
     key = stream_key(root, Stream.DROPOUT, state.step)
-    (value, metrics), grads = _gradient(loss, state.params, batch, key, accumulate)
+    (value, metrics), grads = _gradient(update, state.params, batch, key)
     norm = optax.tree.norm(grads)
     is_good = jnp.isfinite(value) & jnp.isfinite(norm)
 
-    updates, opt = tx.update(grads, state.opt, state.params)
-    params = optax.apply_updates(state.params, updates)
+    changes, opt = update.tx.update(grads, state.opt, state.params)
+    params = optax.apply_updates(state.params, changes)
     average = state.ema
     if average is not None:
-        decay = ema_decay(state.step, ema, ema_power)
+        decay = ema_decay(state.step, update.ema, update.ema_power)
         average = jax.tree.map(lambda a, p: decay * a + (1 - decay) * p, average, params)
     new, old = (params, opt, average), (state.params, state.opt, state.ema)
     params, opt, average = jax.tree.map(lambda n, o: jnp.where(is_good, n, o), new, old)
@@ -190,10 +189,10 @@ def train_step(
 
 
 def _gradient(
-    loss: Loss, params: Params, batch: Batch, key: jax.Array, parts: int
+    update: Update, params: Params, batch: Batch, key: jax.Array
 ) -> tuple[tuple[jax.Array, Metrics], Params]:
     """Loss, its metrics and gradient: of the batch, or the mean over as many equal parts of it."""
-    gradient = jax.value_and_grad(loss, has_aux=True)
+    gradient, parts = jax.value_and_grad(update.loss, has_aux=True), update.accumulate
     if parts == 1:
         return gradient(params, batch, key)
     # Every so many-th sample, not a stretch: then each device goes on with its own ones.
@@ -209,25 +208,15 @@ def _gradient(
 
 
 def make_train_chunk(
-    loss: Loss,
-    tx: optax.GradientTransformation,
+    update: Update,
     *,
-    augment: Augment | None = None,
-    ema: float = 0.0,
-    ema_power: float = 0.0,
-    accumulate: int = 1,
     seeds: int = 1,
     out_shardings: jax.sharding.Sharding | None = None,
 ) -> Callable[[TrainState, Batch, jax.Array], tuple[TrainState, Metrics]]:
     """Compile several updates into one call.
 
     Args:
-        loss: A policy's `loss`.
-        tx: Optimizer.
-        augment: Changes the batch by a key, before the loss.
-        ema: Largest decay of the moving average.
-        ema_power: How the decay rises, see `ema_decay`.
-        accumulate: Parts of the batch that gradients are summed over.
+        update: One of them.
         seeds: Runs that are updated side by side. With several, `state`, `root` and `metrics` have
             them as their first axis, `batches` as the second.
         out_shardings: Where the results lie; the compiler's choice when None.
@@ -236,16 +225,12 @@ def make_train_chunk(
         `train_chunk(state, batches, root) -> (state, metrics)`. Arrays in `batches` and `metrics`
         have the updates as their first axis. The state is donated: do not use it again.
     """
-    step_of = functools.partial(
-        train_step, loss=loss, tx=tx, augment=augment, ema=ema, ema_power=ema_power,
-        accumulate=accumulate,
-    )  # fmt: skip
 
     def train_chunk(
         state: TrainState, batches: Batch, root: jax.Array
     ) -> tuple[TrainState, Metrics]:
         def step(state: TrainState, batch: Batch) -> tuple[TrainState, Metrics]:
-            return step_of(state, batch, root)
+            return train_step(update, state, batch, root)
 
         if jax.tree.leaves(batches)[0].shape[0] == 1:
             # Not a loop of one: on CPUs XLA runs convolutions in loops 6 to 17 times slower.

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxcam.data.batches import STD_FLOOR, make_dataset, stacked_batches
+from jaxcam.data.batches import make_dataset, stacked_batches
+from jaxcam.models.normalization import STD_FLOOR
 from jaxcam.sim.actions import ACTION_SPACES, action_dim, demo_actions
 
 CHUNK = 10

@@ -16,9 +16,13 @@ from jaxcam.errors import CheckpointError
 from jaxcam.interop.lerobot_layout import config_of, settings_of
 from jaxcam.interop.lerobot_policy import STATISTICS, adopt, export
 from jaxcam.models import FAMILIES, PolicySpec, make_policy
-from jaxcam.models.act import action_scale, proprio_scale
-from jaxcam.models.diffusion import middle_and_half, proprio_middle_and_half
-from jaxcam.models.fusion import with_conditioning
+from jaxcam.models.conditioning import with_conditioning
+from jaxcam.models.normalization import (
+    action_deviation,
+    action_range,
+    proprio_deviation,
+    proprio_range,
+)
 from jaxcam.models.weights.load import read_weights
 from jaxcam.runs.identity import resolve
 from jaxcam.training.checkpoint import PolicyInputs, load_policy_inputs
@@ -61,10 +65,9 @@ def scaled(inputs):
     """What its network scales actions and proprioception by."""
     stats, settings = inputs.stats, FAMILIES[inputs.config.policy].config(**inputs.settings)
     if inputs.config.policy == "act":
-        action = action_scale(stats["action_std"], settings.action_std_floor)
-        proprio = proprio_scale(stats["proprio_std"])
-        return stats["action_mean"], action, stats["proprio_mean"], proprio
-    return *middle_and_half(stats, "action", 1e-6), *proprio_middle_and_half(stats)
+        action = action_deviation(stats, settings.action_std_floor)
+        return *action, *proprio_deviation(stats)
+    return *action_range(stats), *proprio_range(stats)
 
 
 CASES = [

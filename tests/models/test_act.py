@@ -23,9 +23,9 @@ from policy_inputs import (
 
 from jaxcam.errors import ConfigError
 from jaxcam.models import ACT_PRESETS, PolicySpec, make_policy
-from jaxcam.models.fusion import with_conditioning
+from jaxcam.models.act.transformer import sine_table
+from jaxcam.models.conditioning import with_conditioning
 from jaxcam.models.layers import dropout
-from jaxcam.models.transformer import sine_table
 
 
 def count(tree):

@@ -25,10 +25,10 @@ from policy_inputs import (
 from jaxcam.errors import ConfigError
 from jaxcam.models import PolicySpec, make_policy
 from jaxcam.models.crops import window
-from jaxcam.models.diffusion import DIFFUSION_PRESETS
+from jaxcam.models.diffusion.config import DIFFUSION_PRESETS
+from jaxcam.models.diffusion.samplers import add_noise, cosine_alphas, make_table, sample
+from jaxcam.models.diffusion.unet import Conv1d, Upsample, mish, step_embedding
 from jaxcam.models.losses import padded_mean, repeat_ends
-from jaxcam.models.samplers import add_noise, cosine_alphas, make_table, sample
-from jaxcam.models.unet import Conv1d, Upsample, mish, step_embedding
 from jaxcam.rays import plucker
 
 GOLDEN = json.loads((places.GOLDEN / "schedules.json").read_text())

@@ -7,13 +7,9 @@ import pytest
 from policy_inputs import CONDITIONINGS, make, make_batch, moved, shapes, start, tiny
 
 from jaxcam.errors import ConfigError
-from jaxcam.models.fusion import (
-    NOMINAL_POSE,
-    VisionConfig,
-    grid_rays,
-    lift_to_height,
-    pool_keypoints,
-)
+from jaxcam.models.conditioning import NOMINAL_POSE, VisionConfig
+from jaxcam.models.fusion import grid_rays
+from jaxcam.models.keypoints import lift_to_height, pool_keypoints
 from jaxcam.rays import plucker
 
 

@@ -17,9 +17,10 @@ from places import GOLDEN
 from policy_inputs import jit, shapes
 
 from jaxcam.models import ACT_PRESETS, PolicySpec, make_policy
-from jaxcam.models.diffusion import DIFFUSION_PRESETS, Diffusion
+from jaxcam.models.diffusion.config import DIFFUSION_PRESETS
+from jaxcam.models.diffusion.network import Diffusion
+from jaxcam.models.diffusion.samplers import add_noise, cosine_alphas
 from jaxcam.models.policy import pure
-from jaxcam.models.samplers import add_noise, cosine_alphas
 from jaxcam.models.weights.load import Weights, load
 from jaxcam.models.weights.names import recognise
 

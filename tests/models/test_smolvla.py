@@ -11,16 +11,20 @@ import pytest
 from flax import nnx
 from policy_inputs import jit, make_batch, make_stats, moved, shapes, start
 
+from jaxcam.config.names import TaskName, names_of
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
-from jaxcam.models import PolicySpec, make_policy, policy_settings
-from jaxcam.models.flow import draw_time, integrate, line, time_embedding
-from jaxcam.models.fusion import with_conditioning
-from jaxcam.models.siglip import Siglip
-from jaxcam.models.smollm import rope
-from jaxcam.models.smolvla import PROMPTS, SMOLVLA_PRESETS, SmolVlaConfig, tokenize, with_prompt
-from jaxcam.models.stack import through
+from jaxcam.models import PolicySpec, make_policy
+from jaxcam.models.conditioning import with_conditioning
+from jaxcam.models.smolvla.config import SMOLVLA_PRESETS, SmolVlaConfig
+from jaxcam.models.smolvla.flow import draw_time, integrate, line, time_embedding
+from jaxcam.models.smolvla.prompt import tokenize, with_prompt
+from jaxcam.models.smolvla.siglip import Siglip
+from jaxcam.models.smolvla.smollm import rope
+from jaxcam.models.smolvla.stack import through
+from jaxcam.pipeline import policy_of
 from jaxcam.runs.identity import resolve
+from jaxcam.sim import make_task
 from jaxcam.training.state import make_optimizer
 
 TINY = replace(
@@ -212,11 +216,13 @@ def test_sizes_that_do_not_fit(changes, sizes, message):
         make_policy(replace(TINY, **changes), replace(SPEC, **sizes), make_stats())
 
 
-def test_prompt_comes_from_the_task_and_the_users_tokenizer(tmp_path):
+@pytest.fixture(scope="module")
+def tokenizer(tmp_path_factory):
+    """A tokenizer.json that knows the words of every task."""
     tokenizers = pytest.importorskip("tokenizers")
-    words = {"Lift": 0, "the": 1, "cube": 2, "\n": 3, "[UNK]": 4}
-    made = tokenizers.Tokenizer(tokenizers.models.WordLevel(words, unk_token="[UNK]"))
-    file = str(tmp_path / "tokenizer.json")
+    words = sorted({word for task in names_of(TaskName) for word in make_task(task).prompt.split()})
+    numbers = {word: i for i, word in enumerate(["[UNK]", "\n", *words])}
+    made = tokenizers.Tokenizer(tokenizers.models.WordLevel(numbers, unk_token="[UNK]"))
     made.pre_tokenizer = tokenizers.pre_tokenizers.Sequence(
         [
             tokenizers.pre_tokenizers.Split(" ", "removed"),
@@ -224,17 +230,35 @@ def test_prompt_comes_from_the_task_and_the_users_tokenizer(tmp_path):
         ]
     )
     made.enable_padding(length=20)
-    made.save(file)
-    assert tokenize("Lift the cube", file) == tokenize("Lift the cube\n", file) == (0, 1, 2, 3)
-    run = TrainConfig(policy="smolvla", preset="lerobot", model=(f"tokenizer={file}",))
-    settings = policy_settings(resolve(run, accelerator=True))
-    assert (settings.prompt, settings.tokens) == (PROMPTS["lift"], (0, 1, 2, 3))
-    with pytest.raises(ConfigError, match="no prompt for 'juggle'"):
-        with_prompt(SmolVlaConfig(tokenizer=file), "juggle")
+    file = tmp_path_factory.mktemp("tokenizer") / "tokenizer.json"
+    made.save(str(file))
+    return made, str(file)
+
+
+@pytest.mark.parametrize("task", names_of(TaskName))
+def test_training_on_any_task_reads_that_tasks_prompt(tokenizer, task):
+    made, file = tokenizer
+    changes = ("tokens=()", f"tokenizer={file}", f"vocabulary={made.get_vocab_size()}")
+    run = TrainConfig(task=task, policy="smolvla", preset="tiny", model=changes)
+    settings = policy_of(resolve(run, accelerator=False)).config
+    made.no_padding()
+    assert settings.prompt == make_task(task).prompt
+    assert settings.tokens == tuple(made.encode(settings.prompt + "\n").ids)
+    assert 0 not in settings.tokens, "a word is unknown"
+
+
+def test_prompt_of_the_user_counts_more_than_the_tasks(tokenizer):
+    file = tokenizer[1]
+    assert tokenize("Lift the cube", file) == tokenize("Lift the cube\n", file)
+    config = with_prompt(SmolVlaConfig(tokenizer=file, prompt="Lift the cube"), "Move the can")
+    assert config.tokens == tokenize("Lift the cube", file) != tokenize("Move the can", file)
+
+
+def test_what_is_no_tokenizer_is_refused(tokenizer, tmp_path):
     with pytest.raises(ConfigError, match="is not a tokenizer"):
         tokenize("Lift", str(tmp_path / "none.json"))
 
 
 def test_known_tokens_need_no_file():
     config = SmolVlaConfig(tokenizer="gone.json", tokens=(1, 2))
-    assert with_prompt(config, "lift") is config
+    assert with_prompt(config, "Lift the cube") is config

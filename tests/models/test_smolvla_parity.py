@@ -12,10 +12,11 @@ import places
 import pytest
 from policy_inputs import jit, shapes
 
-from jaxcam.models.flow import integrate, line
 from jaxcam.models.policy import PolicySpec, pure
-from jaxcam.models.smolvla import SMOLVLA_PRESETS, make_smolvla, velocity_loss
-from jaxcam.models.smolvla_network import SmolVla
+from jaxcam.models.smolvla.config import SMOLVLA_PRESETS
+from jaxcam.models.smolvla.flow import integrate, line
+from jaxcam.models.smolvla.network import SmolVla
+from jaxcam.models.smolvla.policy import make_smolvla, velocity_loss
 from jaxcam.models.weights.load import Weights, load
 from jaxcam.models.weights.names import recognise
 

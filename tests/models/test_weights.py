@@ -14,8 +14,8 @@ from policy_inputs import make_stats, shapes
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import CheckpointError, ConfigError
 from jaxcam.models import ACT_PRESETS, PolicySpec, make_policy
-from jaxcam.models.fusion import with_conditioning
-from jaxcam.models.smolvla import SMOLVLA_PRESETS
+from jaxcam.models.conditioning import with_conditioning
+from jaxcam.models.smolvla.config import SMOLVLA_PRESETS
 from jaxcam.models.weights.load import Weights, load, read_weights, record_weights, show
 from jaxcam.models.weights.names import MAPS, recognise
 from jaxcam.models.weights.torch_files import read_torch

@@ -17,12 +17,14 @@ import pytest
 from places import TESTS
 
 import jaxcam.training.checkpoint
+import jaxcam.training.side
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import CheckpointError
 from jaxcam.runs.identity import resolve
-from jaxcam.training.checkpoint import Checkpoints, checkpoint_steps, load_policy_inputs, make_side
+from jaxcam.training.checkpoint import Checkpoints, checkpoint_steps, load_policy_inputs
 from jaxcam.training.digests import DamagedError, flatten, read_all
-from jaxcam.training.state import init_state, make_train_chunk
+from jaxcam.training.side import make_side
+from jaxcam.training.state import Update, init_state, make_train_chunk
 
 CONFIG = resolve(TrainConfig(steps=6, save_every=1), accelerator=False)
 ROOT = jax.random.key(0)
@@ -51,7 +53,7 @@ def loss(params, batch, key):
     return jnp.mean(out**2), {}
 
 
-CHUNK = make_train_chunk(loss, TX, ema=0.9)
+CHUNK = make_train_chunk(Update(loss, TX, ema=0.9))
 SIDE = make_side(CONFIG, settings=Settings(), spec=Settings(width=9), stats=STATS, data="abc")
 
 
@@ -339,13 +341,13 @@ def test_other_data_settings_or_convention_are_refused(run, monkeypatch):
         other = make_side(CONFIG, settings=Settings(5), spec=Settings(9), stats={}, data="abc")
         with pytest.raises(CheckpointError, match=r"other settings \(width: 4 -> 5\)"):
             checkpoints.restore_latest(template(), expect=other)
-    monkeypatch.setattr(jaxcam.training.checkpoint, "CONVENTION", 2)
+    monkeypatch.setattr(jaxcam.training.side, "CONVENTION", 2)
     with pytest.raises(CheckpointError, match="conventions 1, this version of jaxcam has 2"):
         load_policy_inputs(run)
 
 
 def test_other_packages_are_reported(run, monkeypatch, caplog):
-    monkeypatch.setattr(jaxcam.training.checkpoint, "package_versions", lambda: {"jax": "0.0.1"})
+    monkeypatch.setattr(jaxcam.training.side, "package_versions", lambda: {"jax": "0.0.1"})
     with caplog.at_level(logging.WARNING):
         load_policy_inputs(run)
     assert f"jax {jax.__version__} -> 0.0.1" in caplog.text

@@ -16,7 +16,7 @@ import pytest
 import tiny_training
 from tiny_training import fit, settings
 
-import jaxcam.training.loop
+import jaxcam.training.side_by_side
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, DivergedError
 from jaxcam.files.jsonl import read_jsonl
@@ -26,6 +26,7 @@ from jaxcam.runs.interrupts import Interrupt
 from jaxcam.training.checkpoint import checkpoint_steps
 from jaxcam.training.digests import read_all
 from jaxcam.training.loop import Trainer
+from jaxcam.training.watch import GradientWatch
 
 
 def arrays(folder, step):
@@ -155,7 +156,7 @@ def test_a_run_through_a_link(singles, tmp_path):
 
 def broken(monkeypatch, value):
     """Every action of the third update on is `value`."""
-    real = jaxcam.training.loop.stacked_batches
+    real = jaxcam.training.side_by_side.stacked_batches
 
     def batches(*args, **sizes):
         for step, batch in real(*args, **sizes):
@@ -163,7 +164,7 @@ def broken(monkeypatch, value):
                 batch = {**batch, "action": np.full_like(batch["action"], value)}
             yield step, batch
 
-    monkeypatch.setattr(jaxcam.training.loop, "stacked_batches", batches)
+    monkeypatch.setattr(jaxcam.training.side_by_side, "stacked_batches", batches)
 
 
 def test_divergence_names_the_seed_and_keeps_the_batch(monkeypatch, tmp_path):
@@ -184,11 +185,11 @@ def test_divergence_names_the_seed_and_keeps_the_batch(monkeypatch, tmp_path):
 
 def test_gradients_that_explode_are_told_once_they_do(monkeypatch, tmp_path, caplog):
     usual, huge = {"grad_norm": 0.5}, {"grad_norm": 60.0}
-    watch = jaxcam.training.loop._Watch(4)
+    watch = GradientWatch(4)
     for step in range(6):
-        watch.see({"step": step, **usual})
+        watch.look({"step": step, **usual})
     assert not caplog.text
-    watch.see({"step": 6, **huge})
+    watch.look({"step": 6, **huge})
     assert "Seed 4: around update 6 the gradient's norm is 60, 120 times the usual" in caplog.text
     broken(monkeypatch, 1e6)
     fit(settings(tmp_path / "run", steps=3))

@@ -15,6 +15,7 @@ from jaxcam.errors import DivergedError
 from jaxcam.runs.identity import resolve
 from jaxcam.training.state import (
     Stream,
+    Update,
     check_finite,
     ema_decay,
     init_state,
@@ -48,7 +49,7 @@ def batches(steps):
 def build(*, ema=0.0, augment=None, loss=loss):
     tx = make_optimizer(CONFIG)
     return init_state(init, tx, ROOT, ema=ema > 0), make_train_chunk(
-        loss, tx, augment=augment, ema=ema
+        Update(loss, tx, augment=augment, ema=ema)
     )
 
 
@@ -149,6 +150,22 @@ def test_augment_sees_a_new_key_each_step():
     assert len(set(np.asarray(metrics["drawn"]).tolist())) == 4
 
 
+def test_crop_and_dropout_of_one_step_are_drawn_apart():
+    """With one key for both, what is cut off would tell what is dropped."""
+
+    def augment(batch, key):
+        return {**batch, "x": batch["x"] * 0 + jax.random.uniform(key)}
+
+    def reading(params, batch, key):
+        value, _ = loss(params, batch, key)
+        return value, {"cropped": batch["x"][0, 0], "dropped": jax.random.uniform(key)}
+
+    state, chunk = build(augment=augment, loss=reading)
+    _, metrics = chunk(state, batches(range(4)), ROOT)
+    numbers = np.concatenate([metrics["cropped"], metrics["dropped"]])
+    assert len(set(numbers.tolist())) == 8
+
+
 def test_ema_follows_and_off_costs_nothing():
     state, chunk = build(ema=0.9)
     start = np.asarray(state.params["w"])
@@ -171,7 +188,7 @@ def test_ema_decay_rises_as_that_of_diffusion_policy():
 
 def test_ema_that_rises_starts_as_the_parameters():
     tx = make_optimizer(CONFIG)
-    chunk = make_train_chunk(loss, tx, ema=0.9, ema_power=0.75)
+    chunk = make_train_chunk(Update(loss, tx, ema=0.9, ema_power=0.75))
     state, _ = chunk(init_state(init, tx, ROOT, ema=True), batches([0]), ROOT)
     assert_equal_trees(state.ema, state.params)
 
@@ -191,7 +208,7 @@ def test_frozen_parameters_stay_and_l2_is_not_decoupled():
 
 def test_seeds_can_be_vmapped():
     tx = make_optimizer(CONFIG)
-    chunk = make_train_chunk(loss, tx)
+    chunk = make_train_chunk(Update(loss, tx))
     roots = jax.vmap(jax.random.key)(jnp.arange(3))
     states = jax.vmap(lambda r: init_state(init, tx, r))(roots)
     both, _ = jax.vmap(chunk, in_axes=(0, None, 0))(states, batches(range(2)), roots)

@@ -1,4 +1,4 @@
-"""`python -m jaxcam.weights`: weights from elsewhere, looked at and loaded, and ours for LeRobot.
+"""Weights from elsewhere, looked at and loaded, and ours in PyTorch's layout.
 
 Files are `.safetensors`, or PyTorch's `.pt` and `.pth`, read without PyTorch. What a file is, its
 names tell. Loading is strict: every parameter that the file's kind covers must be in it with its
@@ -16,6 +16,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from rich.console import Console
+from rich.table import Table
 
 from jaxcam.errors import CheckpointError
 from jaxcam.files.jsonl import write_atomically
@@ -66,6 +68,7 @@ def read_weights(path: str | Path) -> Weights:
 
 def _read_safetensors(path: Path) -> dict[str, np.ndarray]:
     try:
+        # Here, since only the extra `smolvla` brings it.
         from safetensors import SafetensorError, safe_open
     except ImportError as error:
         raise CheckpointError(
@@ -107,7 +110,7 @@ def load(weights: Weights, params: Mapping[str, Any], *, new_stem: bool = False)
         )
     kind = weights.kind
     theirs = _fold_batch_norms(kind.prepare(_cut(weights.arrays, kind.prefix)))
-    left, missing, wrong = set(theirs), [], []
+    unplaced, missing, wrong = set(theirs), [], []
 
     def place(node: Mapping[str, Any], path: tuple[str, ...]) -> dict[str, Any]:
         filled = {}
@@ -121,7 +124,7 @@ def load(weights: Weights, params: Mapping[str, Any], *, new_stem: bool = False)
             elif name not in theirs:
                 missing.append(name)
             else:
-                left.discard(name)
+                unplaced.discard(name)
                 array = _from_torch(_as_linear(theirs[name], value.ndim), key)
                 if key == "kernel" and array.ndim == 4 and array.shape[2] == 3 < value.shape[2]:
                     array = value if new_stem else np.concatenate([array, value[:, :, 3:]], 2)
@@ -132,8 +135,8 @@ def load(weights: Weights, params: Mapping[str, Any], *, new_stem: bool = False)
         return filled
 
     filled = place(params, ())
-    extra = sorted(name for name in left if not re.fullmatch(kind.unused, name))
-    if left == set(theirs):
+    extra = sorted(name for name in unplaced if not re.fullmatch(kind.unused, name))
+    if unplaced == set(theirs):
         raise CheckpointError(f"{weights.path} is {kind.title}; this policy has no place for it.")
     if missing or extra or wrong:
         raise CheckpointError(_complaint(weights, missing, extra, wrong))
@@ -244,9 +247,6 @@ def _complaint(weights: Weights, missing: list[str], extra: list[str], wrong: li
 
 def show(weights: Weights) -> None:
     """Print what a file is, and its arrays."""
-    from rich.console import Console
-    from rich.table import Table
-
     table = Table("name", "shape", "type", box=None)
     for name, array in weights.arrays.items():
         table.add_row(name, "x".join(map(str, array.shape)) or "scalar", str(array.dtype))

@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from jaxcam.models.smolvla_network import PRETRAINED
+from jaxcam.models.smolvla.network import PRETRAINED
 from jaxcam.models.weights.names_robot import (
     Arrays,
     Path,

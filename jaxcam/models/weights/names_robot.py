@@ -107,9 +107,9 @@ def prepare_act(arrays: Arrays) -> Arrays:
     """Queries, keys and values apart; proprioception's position before the latent's, as here."""
     ready: Arrays = {}
     for name, array in arrays.items():
-        if found := re.fullmatch(r"(.*)\.in_proj_(weight|bias)", name):
+        if match := re.fullmatch(r"(.*)\.in_proj_(weight|bias)", name):
             for part, piece in zip("qkv", np.split(array, 3), strict=True):
-                ready[f"{found[1]}.{part}_proj.{found[2]}"] = piece
+                ready[f"{match[1]}.{part}_proj.{match[2]}"] = piece
         elif name.split(".")[0] in ("encoder_1d_feature_pos_embed", "additional_pos_embed"):
             ready[name] = array[::-1]
         else:
@@ -121,9 +121,9 @@ def restore_act(arrays: Arrays) -> Arrays:
     """The reverse of `prepare_act`."""
     theirs: Arrays = {}
     for name, array in arrays.items():
-        if found := re.fullmatch(r"(.*)\.q_proj\.(weight|bias)", name):
-            parts = [arrays[f"{found[1]}.{part}_proj.{found[2]}"] for part in "qkv"]
-            theirs[f"{found[1]}.in_proj_{found[2]}"] = np.concatenate(parts)
+        if match := re.fullmatch(r"(.*)\.q_proj\.(weight|bias)", name):
+            parts = [arrays[f"{match[1]}.{part}_proj.{match[2]}"] for part in "qkv"]
+            theirs[f"{match[1]}.in_proj_{match[2]}"] = np.concatenate(parts)
         elif name.split(".")[0] == "encoder_1d_feature_pos_embed":
             theirs[name] = array[::-1]
         elif not re.search(r"\.[kv]_proj\.", name):

@@ -177,7 +177,7 @@ def _walk(value: Any, path: tuple[str, ...]) -> list[tuple[tuple[str, ...], _Ten
         pairs = [(str(i), v) for i, v in enumerate(value)]
     else:
         return []
-    return [found for name, v in pairs for found in _walk(v, (*path, name))]
+    return [pair for name, v in pairs for pair in _walk(v, (*path, name))]
 
 
 def _window(tensor: _Tensor, data: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ sum with what they add to (post-norm), as in the original one.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -49,19 +50,28 @@ def sine_grid(height: int, width: int, channels: int) -> np.ndarray:
     return np.concatenate([rows, np.tile(axis(width), (height, 1))], -1).astype(np.float32)
 
 
+@dataclass(frozen=True)
+class LayerSizes:
+    """What all layers of a transformer have in common."""
+
+    width: int
+    """Numbers a token."""
+    heads: int
+    """Attention heads."""
+    hidden: int
+    """Hidden width of the feed-forward layers."""
+    dropout: float
+    """Dropout rate in training."""
+    pre_norm: bool
+    """Whether norms come before the layers or after what these are added to."""
+
+
 class Attention(nnx.Module):
     """Multi-head attention with dropout on the attention weights."""
 
-    def __init__(
-        self,
-        width: int,
-        heads: int,
-        dropout_rate: float,
-        *,
-        xavier: bool,
-        rngs: nnx.Rngs,
-        dtype: DTypeLike,
-    ):
+    def __init__(self, sizes: LayerSizes, *, xavier: bool, rngs: nnx.Rngs, dtype: DTypeLike):
+        width = sizes.width
+
         def packed() -> nnx.Linear:
             return linear(
                 width, width, rngs=rngs, dtype=dtype, kernel_init=PACKED_XAVIER, bias_init=zeros
@@ -76,8 +86,8 @@ class Attention(nnx.Module):
             kernel_init=XAVIER if xavier else TORCH,
             bias_init=zeros,
         )
-        self.heads = heads
-        self.dropout_rate = dropout_rate
+        self.heads = sizes.heads
+        self.dropout_rate = sizes.dropout
 
     def __call__(
         self, q: jax.Array, k: jax.Array, v: jax.Array, *, key: Key, keep: jax.Array | None = None
@@ -99,20 +109,11 @@ class Attention(nnx.Module):
 class FeedForward(nnx.Module):
     """The two-layer ReLU perceptron of a transformer layer."""
 
-    def __init__(
-        self,
-        width: int,
-        hidden: int,
-        dropout_rate: float,
-        *,
-        xavier: bool,
-        rngs: nnx.Rngs,
-        dtype: DTypeLike,
-    ):
-        init = XAVIER if xavier else TORCH
+    def __init__(self, sizes: LayerSizes, *, xavier: bool, rngs: nnx.Rngs, dtype: DTypeLike):
+        width, hidden, init = sizes.width, sizes.hidden, XAVIER if xavier else TORCH
         self.up = linear(width, hidden, rngs=rngs, dtype=dtype, kernel_init=init)
         self.down = linear(hidden, width, rngs=rngs, dtype=dtype, kernel_init=init)
-        self.dropout_rate = dropout_rate
+        self.dropout_rate = sizes.dropout
 
     def __call__(self, x: jax.Array, *, key: Key) -> jax.Array:
         """Map [..., width] to [..., width]."""
@@ -122,27 +123,12 @@ class FeedForward(nnx.Module):
 class EncoderLayer(nnx.Module):
     """Self-attention and feed-forward, each added to what it was given."""
 
-    def __init__(
-        self,
-        width: int,
-        heads: int,
-        hidden: int,
-        dropout_rate: float,
-        *,
-        pre_norm: bool,
-        xavier: bool,
-        rngs: nnx.Rngs,
-        dtype: DTypeLike,
-    ):
-        self.norm1 = layer_norm(width, rngs=rngs, dtype=dtype)
-        self.attention = Attention(
-            width, heads, dropout_rate, xavier=xavier, rngs=rngs, dtype=dtype
-        )
-        self.norm2 = layer_norm(width, rngs=rngs, dtype=dtype)
-        self.feed_forward = FeedForward(
-            width, hidden, dropout_rate, xavier=xavier, rngs=rngs, dtype=dtype
-        )
-        self.dropout_rate, self.pre_norm = dropout_rate, pre_norm
+    def __init__(self, sizes: LayerSizes, *, xavier: bool, rngs: nnx.Rngs, dtype: DTypeLike):
+        self.norm1 = layer_norm(sizes.width, rngs=rngs, dtype=dtype)
+        self.attention = Attention(sizes, xavier=xavier, rngs=rngs, dtype=dtype)
+        self.norm2 = layer_norm(sizes.width, rngs=rngs, dtype=dtype)
+        self.feed_forward = FeedForward(sizes, xavier=xavier, rngs=rngs, dtype=dtype)
+        self.dropout_rate, self.pre_norm = sizes.dropout, sizes.pre_norm
 
     def __call__(
         self, x: jax.Array, position: jax.Array, *, key: Key, keep: jax.Array | None = None
@@ -182,32 +168,12 @@ class Encoder(nnx.Module):
     """
 
     def __init__(
-        self,
-        layers: int,
-        width: int,
-        heads: int,
-        hidden: int,
-        dropout_rate: float,
-        *,
-        pre_norm: bool,
-        xavier: bool,
-        rngs: nnx.Rngs,
-        dtype: DTypeLike,
+        self, layers: int, sizes: LayerSizes, *, xavier: bool, rngs: nnx.Rngs, dtype: DTypeLike
     ):
         self.layers = nnx.List(
-            EncoderLayer(
-                width,
-                heads,
-                hidden,
-                dropout_rate,
-                pre_norm=pre_norm,
-                xavier=xavier,
-                rngs=rngs,
-                dtype=dtype,
-            )
-            for _ in range(layers)
+            EncoderLayer(sizes, xavier=xavier, rngs=rngs, dtype=dtype) for _ in range(layers)
         )
-        self.norm = layer_norm(width, rngs=rngs, dtype=dtype) if pre_norm else None
+        self.norm = layer_norm(sizes.width, rngs=rngs, dtype=dtype) if sizes.pre_norm else None
 
     def __call__(
         self, x: jax.Array, position: jax.Array, *, key: Key, keep: jax.Array | None = None
@@ -224,30 +190,21 @@ class Decoder(nnx.Module):
     The reference models build seven layers but read the output of the first, so one is enough.
     """
 
-    def __init__(
-        self,
-        width: int,
-        heads: int,
-        hidden: int,
-        dropout_rate: float,
-        *,
-        pre_norm: bool,
-        rngs: nnx.Rngs,
-        dtype: DTypeLike,
-    ):
+    def __init__(self, sizes: LayerSizes, *, rngs: nnx.Rngs, dtype: DTypeLike):
         def attention() -> Attention:
-            return Attention(width, heads, dropout_rate, xavier=True, rngs=rngs, dtype=dtype)
+            return Attention(sizes, xavier=True, rngs=rngs, dtype=dtype)
 
-        self.norm1 = layer_norm(width, rngs=rngs, dtype=dtype)
+        def norm() -> nnx.LayerNorm:
+            return layer_norm(sizes.width, rngs=rngs, dtype=dtype)
+
+        self.norm1 = norm()
         self.self_attention = attention()
-        self.norm2 = layer_norm(width, rngs=rngs, dtype=dtype)
+        self.norm2 = norm()
         self.cross_attention = attention()
-        self.norm3 = layer_norm(width, rngs=rngs, dtype=dtype)
-        self.feed_forward = FeedForward(
-            width, hidden, dropout_rate, xavier=True, rngs=rngs, dtype=dtype
-        )
-        self.norm = layer_norm(width, rngs=rngs, dtype=dtype)
-        self.dropout_rate, self.pre_norm = dropout_rate, pre_norm
+        self.norm3 = norm()
+        self.feed_forward = FeedForward(sizes, xavier=True, rngs=rngs, dtype=dtype)
+        self.norm = norm()
+        self.dropout_rate, self.pre_norm = sizes.dropout, sizes.pre_norm
 
     def __call__(
         self, query: jax.Array, memory: jax.Array, position: jax.Array, *, key: Key

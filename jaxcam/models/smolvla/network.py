@@ -6,7 +6,6 @@ holds in training as in sampling.
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -15,17 +14,15 @@ from flax import nnx
 from jax.typing import DTypeLike
 
 from jaxcam.errors import ConfigError
-from jaxcam.models.flow import time_embedding
 from jaxcam.models.fusion import camera_poses, grid_rays
 from jaxcam.models.layers import linear
 from jaxcam.models.policy import Obs, PolicySpec
 from jaxcam.models.resnet import RayEncoder, space_to_depth
-from jaxcam.models.siglip import Siglip
-from jaxcam.models.smollm import NORMAL, KeyValue, Layer, dense, rms_norm
-from jaxcam.models.stack import through
-
-if TYPE_CHECKING:
-    from jaxcam.models.smolvla import SmolVlaConfig
+from jaxcam.models.smolvla.config import SmolVlaConfig
+from jaxcam.models.smolvla.flow import time_embedding
+from jaxcam.models.smolvla.siglip import Siglip
+from jaxcam.models.smolvla.smollm import NORMAL, KeyValue, Layer, dense, rms_norm
+from jaxcam.models.smolvla.stack import through
 
 Prefix = tuple[KeyValue, ...]
 """What the expert may read of images, words and state: one for each of the layers that follow each
@@ -68,7 +65,7 @@ def _standardised(x: jax.Array) -> jax.Array:
 class SmolVla(nnx.Module):
     """The network, from raw observations and noisy actions to velocities."""
 
-    def __init__(self, config: "SmolVlaConfig", spec: PolicySpec, *, rngs: nnx.Rngs):
+    def __init__(self, config: SmolVlaConfig, spec: PolicySpec, *, rngs: nnx.Rngs):
         dtype, width, expert = config.dtype, config.width, config.expert_width
         self.config = config
         self.turn = 2 if config.attention == "interleaved" else 1

@@ -4,8 +4,8 @@ import jax
 from flax import nnx
 from jax.typing import DTypeLike
 
-from jaxcam.models.smollm import NORMAL, dense
-from jaxcam.models.stack import through
+from jaxcam.models.smolvla.smollm import NORMAL, dense
+from jaxcam.models.smolvla.stack import through
 
 
 class SiglipLayer(nnx.Module):

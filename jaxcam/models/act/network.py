@@ -1,6 +1,5 @@
-"""ACT: action chunks from tokens of images and cameras, optionally with a variational latent."""
+"""ACT's network: from tokens of images and cameras to a chunk of actions."""
 
-from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import jax
@@ -8,131 +7,18 @@ import jax.numpy as jnp
 import numpy as np
 from flax import nnx
 
-from jaxcam.errors import ConfigError
-from jaxcam.models.fusion import (
-    Vision,
-    VisionConfig,
-    camera_poses,
-    check_known,
-    with_conditioning,
-)
+from jaxcam.models.act.config import ActConfig
+from jaxcam.models.act.transformer import Decoder, Encoder, LayerSizes, sine_grid, sine_table
+from jaxcam.models.fusion import Vision, camera_poses
 from jaxcam.models.layers import dropout, linear, split_key
-from jaxcam.models.losses import PADDINGS, padded_mean
-from jaxcam.models.policy import (
-    Batch,
-    Family,
-    Key,
-    Obs,
-    Params,
-    Policy,
-    PolicySpec,
-    Stats,
-    check_sizes,
-    pure,
-)
-from jaxcam.models.transformer import Decoder, Encoder, sine_grid, sine_table
+from jaxcam.models.policy import Key, Obs, PolicySpec
 
 
-@dataclass(frozen=True)
-class ActConfig(VisionConfig):
-    """Settings of ACT; the defaults are the paper's, as the authors trained it."""
-
-    chunk: int = 30
-    """Actions predicted at a time."""
-    execute: int = 0
-    """Actions of a chunk that are executed before the policy is asked again; 0 is all of them."""
-    keyframe_weight: float = 0.0
-    """Weight of the loss on keyframes, which the policy then predicts beside every action; 0
-    predicts none. A keyframe is where the grip will be when its command next changes."""
-    head: str = "transformer"
-    """From tokens to actions: the paper's transformer, or an mlp over all tokens at once."""
-    width: int = 512
-    """Width of the transformer, or of the perceptron's hidden layers."""
-    heads: int = 8
-    """Attention heads."""
-    hidden: int = 2048
-    """Hidden width of the transformer's feed-forward layers."""
-    layers: int = 4
-    """Encoder layers of the transformer, or hidden layers of the perceptron."""
-    pre_norm: bool = True
-    """Whether the transformer's norms come before its layers, as in the paper, or after them."""
-    image_positions: str = "learned"
-    """Positions of image tokens: learned for every view, or the same sine table for all."""
-    learned_cls: bool = False
-    """Whether the variational encoder's first token is learned or zero."""
-    pad_head: bool = True
-    """Whether there is a head for padding, which some public weights have and nobody trains."""
-    pose_tokens: int = 2
-    """Least number of pose tokens; they are fed with zeros unless the conditioning is token."""
-    latent_dim: int = 32
-    """Size of the variational latent; 0 builds no variational encoder."""
-    latent_layers: int = 4
-    """Layers of the variational encoder."""
-    kl_weight: float = 1.0
-    """Weight of the latent's KL divergence in the loss."""
-    dropout: float = 0.1
-    """Dropout rate in training."""
-    drop_proprio: bool = True
-    """Whether proprioception is replaced by zeros (before normalisation), as in the paper."""
-    action_std_floor: float = 1e-4
-    """Least deviation that actions are divided by."""
-    padding: str = "zeroed"
-    """How steps past a demonstration's end count in the loss, see `padded_mean`."""
-
-    def __post_init__(self) -> None:
-        """Refuse values that cannot work."""
-        super().__post_init__()
-        known = {"head": ("transformer", "mlp"), "image_positions": ("learned", "sine")}
-        check_known(self, padding=PADDINGS, **known)
-        if self.width % self.heads:
-            raise ConfigError(f"width {self.width} is not a multiple of heads {self.heads}.")
-        if self.execute < 0 or self.keyframe_weight < 0:
-            raise ConfigError("execute and keyframe_weight must not be negative.")
-
-    def outputs(self, spec: PolicySpec) -> int:
-        """Numbers predicted a step: an action and, if asked for, its keyframe's position."""
-        return spec.action_dim + 3 * (self.keyframe_weight > 0)
-
-
-_PUBLIC = ActConfig(
-    conditioning="none",
-    twin_of="none",
-    norm="frozen",
-    chunk=100,
-    hidden=3200,
-    pre_norm=False,
-    image_positions="sine",
-    learned_cls=True,
-    pose_tokens=0,
-    kl_weight=10.0,
-    drop_proprio=False,
-)
-
-ACT_PRESETS: dict[str, ActConfig] = {
-    "paper": ActConfig(ray_convention="authors"),
-    "lerobot": replace(_PUBLIC, pad_head=False),
-    "original": replace(_PUBLIC, action_std_floor=1e-2),
-    "laptop": ActConfig(
-        conditioning="keypoints",
-        twin_of="keypoints",
-        encoder="small",
-        encoder_width=32,
-        encoder_depth=2,
-        image_scaling="symmetric",
-        pool="keypoints",
-        chunk=16,
-        execute=8,
-        keyframe_weight=0.9,
-        drop_proprio=False,
-        head="mlp",
-        width=256,
-        layers=2,
-        hidden=512,
-        pose_tokens=0,
-        latent_dim=0,
-        dropout=0.0,
-    ),
-}
+def layer_sizes(config: ActConfig) -> LayerSizes:
+    """Sizes of the transformer's layers."""
+    return LayerSizes(
+        config.width, config.heads, config.hidden, config.dropout, pre_norm=config.pre_norm
+    )
 
 
 class LatentEncoder(nnx.Module):
@@ -142,17 +28,8 @@ class LatentEncoder(nnx.Module):
         width, dtype = config.width, config.dtype
         self.proprio = linear(spec.proprio_dim, width, rngs=rngs, dtype=dtype)
         self.action = linear(spec.action_dim, width, rngs=rngs, dtype=dtype)
-        self.encoder = Encoder(
-            config.latent_layers,
-            width,
-            config.heads,
-            config.hidden,
-            config.dropout,
-            pre_norm=config.pre_norm,
-            xavier=False,
-            rngs=rngs,
-            dtype=dtype,
-        )
+        layers, sizes = config.latent_layers, layer_sizes(config)
+        self.encoder = Encoder(layers, sizes, xavier=False, rngs=rngs, dtype=dtype)
         self.out = linear(width, 2 * config.latent_dim, rngs=rngs, dtype=dtype)
         draw = jax.random.normal
         self.cls = nnx.Param(draw(rngs.params(), (1, width))) if config.learned_cls else None
@@ -197,26 +74,9 @@ class TransformerHead(nnx.Module):
         self.image_position = positions(spec.views * vision.tokens) if learned else None
         self.position = positions(poses + 1 + (latent > 0))
         self.query = positions(spec.chunk)
-        self.encoder = Encoder(
-            config.layers,
-            width,
-            config.heads,
-            config.hidden,
-            config.dropout,
-            pre_norm=config.pre_norm,
-            xavier=True,
-            rngs=rngs,
-            dtype=dtype,
-        )
-        self.decoder = Decoder(
-            width,
-            config.heads,
-            config.hidden,
-            config.dropout,
-            pre_norm=config.pre_norm,
-            rngs=rngs,
-            dtype=dtype,
-        )
+        sizes = layer_sizes(config)
+        self.encoder = Encoder(config.layers, sizes, xavier=True, rngs=rngs, dtype=dtype)
+        self.decoder = Decoder(sizes, rngs=rngs, dtype=dtype)
         self.action = linear(width, config.outputs(spec), rngs=rngs, dtype=dtype)
         # In the reference models, and trained by nothing: the loss does not look at it.
         self.is_pad = linear(width, 1, rngs=rngs, dtype=dtype) if config.pad_head else None
@@ -328,61 +188,3 @@ class Act(nnx.Module):
             kl = -0.5 * (1 + log_variance - mean**2 - jnp.exp(log_variance)).sum(-1).mean()
         out = self.head(self.vision(obs), obs, proprio, latent, key=head_key)
         return out.astype(jnp.float32), kl
-
-
-def action_scale(std: np.ndarray, floor: float) -> np.ndarray:
-    """Deviations to divide actions by: at least the floor.
-
-    A floor, and not 1, for a dimension that never varies: what the network gets wrong about it
-    then shrinks to nothing in raw units instead of drifting over an episode.
-    """
-    return np.maximum(np.asarray(std, np.float32), np.float32(floor))
-
-
-def proprio_scale(std: np.ndarray) -> np.ndarray:
-    """Deviations to divide proprioception by: 1 where a dimension never varies.
-
-    Here a floor would do harm, since it blows up the first value that does differ.
-    """
-    std = np.asarray(std, np.float32)
-    return np.where(std < 1e-3, 1.0, std).astype(np.float32)
-
-
-def make_act(config: ActConfig, spec: PolicySpec, stats: Stats) -> Policy:
-    """Make ACT's three functions; statistics become constants of them."""
-    check_sizes(config.chunk, spec, stats)
-    action_mean = np.asarray(stats["action_mean"], np.float32)
-    action_std = action_scale(stats["action_std"], config.action_std_floor)
-    proprio_mean = np.asarray(stats["proprio_mean"], np.float32)
-    proprio_std = proprio_scale(stats["proprio_std"])
-    init, network = pure(lambda rngs: Act(config, spec, rngs=rngs))
-
-    def proprio(obs: Obs) -> jax.Array:
-        raw = jnp.zeros_like(obs["proprio"]) if config.drop_proprio else obs["proprio"]
-        return (raw - proprio_mean) / proprio_std
-
-    def l1_loss(predicted: jax.Array, target: jax.Array, is_pad: jax.Array) -> jax.Array:
-        return padded_mean(jnp.abs(predicted - target), is_pad, config.padding)
-
-    def loss(params: Params, batch: Batch, key: Key) -> tuple[jax.Array, dict[str, jax.Array]]:
-        target = (batch["action"] - action_mean) / action_std
-        is_pad = batch["is_pad"]
-        predicted, kl = network(params)(batch, proprio(batch), target, is_pad, key=key)
-        l1 = l1_loss(predicted[..., : spec.action_dim], target, is_pad)
-        total = l1 + config.kl_weight * kl
-        metrics = {"l1": l1, "kl": kl}
-        if config.keyframe_weight:
-            keyframe = (batch["keyframe"] - stats["keyframe_mean"]) / stats["keyframe_std"]
-            metrics["keyframe"] = l1_loss(predicted[..., spec.action_dim :], keyframe, is_pad)
-            total += config.keyframe_weight * metrics["keyframe"]
-        return total, {"loss": total, **metrics}
-
-    def act(params: Params, obs: Obs, key: Key) -> jax.Array:
-        del key  # ACT acts with its latent at zero: nothing is drawn.
-        predicted = network(params)(obs, proprio(obs))[0][..., : spec.action_dim]
-        return predicted * action_std + action_mean
-
-    return Policy(init, loss, act, config, spec, min(config.execute or spec.chunk, spec.chunk))
-
-
-FAMILY = Family(ActConfig, ACT_PRESETS, make_act, with_conditioning)

@@ -1,0 +1,1 @@
+"""ACT: its settings, its network and its three functions."""

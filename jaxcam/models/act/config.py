@@ -1,0 +1,111 @@
+"""Settings of ACT and its presets."""
+
+from dataclasses import dataclass, replace
+
+from jaxcam.errors import ConfigError
+from jaxcam.models.conditioning import VisionConfig, check_known
+from jaxcam.models.losses import PADDINGS
+from jaxcam.models.normalization import ORIGINAL_STD_FLOOR, STD_FLOOR
+from jaxcam.models.policy import PolicySpec
+
+
+@dataclass(frozen=True)
+class ActConfig(VisionConfig):
+    """Settings of ACT; the defaults are the paper's, as the authors trained it."""
+
+    chunk: int = 30
+    """Actions predicted at a time."""
+    execute: int = 0
+    """Actions of a chunk that are executed before the policy is asked again; 0 is all of them."""
+    keyframe_weight: float = 0.0
+    """Weight of the loss on keyframes, which the policy then predicts beside every action; 0
+    predicts none. A keyframe is where the grip will be when its command next changes."""
+    head: str = "transformer"
+    """From tokens to actions: the paper's transformer, or an mlp over all tokens at once."""
+    width: int = 512
+    """Width of the transformer, or of the perceptron's hidden layers."""
+    heads: int = 8
+    """Attention heads."""
+    hidden: int = 2048
+    """Hidden width of the transformer's feed-forward layers."""
+    layers: int = 4
+    """Encoder layers of the transformer, or hidden layers of the perceptron."""
+    pre_norm: bool = True
+    """Whether the transformer's norms come before its layers, as in the paper, or after them."""
+    image_positions: str = "learned"
+    """Positions of image tokens: learned for every view, or the same sine table for all."""
+    learned_cls: bool = False
+    """Whether the variational encoder's first token is learned or zero."""
+    pad_head: bool = True
+    """Whether there is a head for padding, which some public weights have and nobody trains."""
+    pose_tokens: int = 2
+    """Least number of pose tokens; they are fed with zeros unless the conditioning is token."""
+    latent_dim: int = 32
+    """Size of the variational latent; 0 builds no variational encoder."""
+    latent_layers: int = 4
+    """Layers of the variational encoder."""
+    kl_weight: float = 1.0
+    """Weight of the latent's KL divergence in the loss."""
+    dropout: float = 0.1
+    """Dropout rate in training."""
+    drop_proprio: bool = True
+    """Whether proprioception is replaced by zeros (before normalisation), as in the paper."""
+    action_std_floor: float = STD_FLOOR
+    """Least deviation that actions are divided by."""
+    padding: str = "zeroed"
+    """How steps past a demonstration's end count in the loss, see `padded_mean`."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that cannot work."""
+        super().__post_init__()
+        known = {"head": ("transformer", "mlp"), "image_positions": ("learned", "sine")}
+        check_known(self, padding=PADDINGS, **known)
+        if self.width % self.heads:
+            raise ConfigError(f"width {self.width} is not a multiple of heads {self.heads}.")
+        if self.execute < 0 or self.keyframe_weight < 0:
+            raise ConfigError("execute and keyframe_weight must not be negative.")
+
+    def outputs(self, spec: PolicySpec) -> int:
+        """Numbers predicted a step: an action and, if asked for, its keyframe's position."""
+        return spec.action_dim + 3 * (self.keyframe_weight > 0)
+
+
+_PUBLIC = ActConfig(
+    conditioning="none",
+    twin_of="none",
+    norm="frozen",
+    chunk=100,
+    hidden=3200,
+    pre_norm=False,
+    image_positions="sine",
+    learned_cls=True,
+    pose_tokens=0,
+    kl_weight=10.0,
+    drop_proprio=False,
+)
+
+ACT_PRESETS: dict[str, ActConfig] = {
+    "paper": ActConfig(ray_convention="authors"),
+    "lerobot": replace(_PUBLIC, pad_head=False),
+    "original": replace(_PUBLIC, action_std_floor=ORIGINAL_STD_FLOOR),
+    "laptop": ActConfig(
+        conditioning="keypoints",
+        twin_of="keypoints",
+        encoder="small",
+        encoder_width=32,
+        encoder_depth=2,
+        image_scaling="symmetric",
+        pool="keypoints",
+        chunk=16,
+        execute=8,
+        keyframe_weight=0.9,
+        drop_proprio=False,
+        head="mlp",
+        width=256,
+        layers=2,
+        hidden=512,
+        pose_tokens=0,
+        latent_dim=0,
+        dropout=0.0,
+    ),
+}

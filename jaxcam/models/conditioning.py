@@ -1,0 +1,128 @@
+"""Settings of what a policy sees: how it is told where its cameras are, and its image encoder.
+
+What they mean is computed in `jaxcam.models.fusion`.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal, TypeVar
+
+import jax.numpy as jnp
+from jax.typing import DTypeLike
+
+from jaxcam.config.names import Conditioning, names_of
+from jaxcam.errors import ConfigError, closest
+from jaxcam.models.resnet import NORMS
+
+# Azimuth 0, elevation 45 degrees, 0.95 m from (0, 0, 0.8) in a world where the robot's base stands
+# at (-0.56, 0, 0.912): the middle of the cameras of the paper.
+_C = 0.5**0.5
+NOMINAL_POSE = (
+    (0.0, _C, -_C, 0.56 + 0.95 * _C),
+    (1.0, 0.0, 0.0, 0.0),
+    (0.0, -_C, -_C, 0.8 - 0.912 + 0.95 * _C),
+    (0.0, 0.0, 0.0, 1.0),
+)
+
+
+@dataclass(frozen=True)
+class CameraConfig:
+    """How a policy is told where its cameras are, and what it computes in."""
+
+    conditioning: str = "late"
+    """How the policy is told where its cameras are: none, token, early, late or keypoints."""
+    twin_of: str = "late"
+    """With conditioning none: the conditioning whose network is kept, fed with a fixed pose."""
+    nominal_pose: tuple[tuple[float, ...], ...] = NOMINAL_POSE
+    """That fixed pose, base_from_camera, OpenCV axes."""
+    ray_convention: Literal["jaxcam", "authors"] = "jaxcam"
+    """Order and pixel offset of the ray-map; keypoints always use "jaxcam"."""
+    compute_dtype: str = "float32"
+    """Arithmetic of the networks, float32 or bfloat16; weights and rays are always float32."""
+    obs_steps: ClassVar[int] = 1
+    """Observations the policy sees at once."""
+
+    def __post_init__(self) -> None:
+        """Refuse names that do not exist."""
+        check_known(
+            self,
+            conditioning=names_of(Conditioning),
+            twin_of=names_of(Conditioning),
+            ray_convention=("jaxcam", "authors"),
+            compute_dtype=("float32", "bfloat16"),
+        )
+
+    @property
+    def network(self) -> str:
+        """The conditioning whose network is built, which an image-only twin shares."""
+        return self.twin_of if self.conditioning == "none" else self.conditioning
+
+    @property
+    def dtype(self) -> DTypeLike:
+        """Type the networks compute in."""
+        return jnp.dtype(self.compute_dtype)
+
+
+def check_known(config: Any, **known: tuple[str, ...]) -> None:
+    """Refuse settings whose value is not one of the known names."""
+    for name, names in known.items():
+        value = getattr(config, name)
+        if value not in names:
+            raise ConfigError(f"Unknown {name} '{value}'{closest(str(value), names)}.")
+
+
+@dataclass(frozen=True)
+class VisionConfig(CameraConfig):
+    """Settings of the image encoder and of the conditioning."""
+
+    encoder: str = "resnet18"
+    """Image encoder: resnet18 (stride 32) or small (stride 4, cheap on a CPU)."""
+    norm: str = "identity"
+    """Norms of the ResNet: group, or frozen batch norms with the statistics of loaded weights
+    (frozen) or with none (identity)."""
+    encoder_depth: int = 2
+    """Residual convolutions of the small encoder."""
+    encoder_width: int = 512
+    """Channels of the feature map that the encoders hand on."""
+    image_scaling: str = "imagenet"
+    """Scaling of colours: imagenet (mean and deviation), symmetric (-1 to 1) or unit (0 to 1)."""
+    pool: str = "grid"
+    """What becomes a token: every cell of the feature map (grid), or every one of the keypoints
+    (keypoints), or only where these are in the image (softmax), as in Diffusion Policy."""
+    keypoints: int = 32
+    """Heat maps a view, when keypoints are pooled."""
+    heat_gain: float = 25.0
+    """Factor on heat maps before their softmax. At 1 all keypoints start in the image's middle, and
+    training spends a thousand updates on getting them away from there."""
+    keypoint_features: bool = False
+    """Whether a ray keypoint also carries the features under its heat map, as keypoints without
+    rays do unless the pool is softmax."""
+    lift: bool = True
+    """Whether a ray keypoint also carries the point of its ray at a height the network chooses."""
+
+    def __post_init__(self) -> None:
+        """Refuse names that do not exist."""
+        super().__post_init__()
+        check_known(
+            self,
+            encoder=("resnet18", "small"),
+            norm=NORMS,
+            image_scaling=("imagenet", "symmetric", "unit"),
+            pool=("grid", "keypoints", "softmax"),
+        )
+
+    @property
+    def pools_keypoints(self) -> bool:
+        """Whether tokens are keypoints instead of cells of the feature map."""
+        return self.pool != "grid" or self.network == "keypoints"
+
+
+C = TypeVar("C", bound=CameraConfig)
+
+
+def with_conditioning(config: C, conditioning: str) -> C:
+    """The same policy, conditioned in another way.
+
+    ``none`` gives the image-only twin of the conditioning that `config` has.
+    """
+    twin_of = config.network if conditioning == "none" else conditioning
+    return replace(config, conditioning=conditioning, twin_of=twin_of)

@@ -1,0 +1,108 @@
+"""Keypoints: heat maps over a feature map, and what they pool of the image and of its rays."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import nnx
+
+from jaxcam.models.conditioning import VisionConfig
+from jaxcam.models.layers import linear
+
+FLATTEST = 0.1
+"""A line less steep than this (z part of its unit direction) is not followed to a height."""
+
+
+class Keypoints(NamedTuple):
+    """What heat maps pool, each [N, k, ...]."""
+
+    pixel: jax.Array
+    """Expected position in the image, (x, y) in -1..1."""
+    ray: jax.Array
+    """Expected ray (d, m)."""
+    features: jax.Array
+    """Expected feature vector."""
+
+
+def pool_keypoints(
+    logits: jax.Array, rays: jax.Array, features: jax.Array, *, corners: bool = False
+) -> Keypoints:
+    """Expectations under spatial softmaxes.
+
+    Args:
+        logits: Heat maps before the softmax, float32 [N, h, w, k].
+        rays: Ray-map on the same grid, [N, h, w, 6].
+        features: Feature map, [N, h, w, C].
+        corners: Whether positions of -1 and 1 are the middles of the outermost cells, as in
+            Diffusion Policy, instead of the image's edges.
+
+    Returns:
+        Positions, rays and features. All rays of a camera meet in its centre, so an expected (d, m)
+        is again a line through it, with a direction shorter than 1.
+    """
+    n, h, w, k = logits.shape
+    weights = jax.nn.softmax(logits.reshape(n, h * w, k), axis=1)
+    x, y = (2 * np.arange(size, dtype=np.float32) + 1 for size in (w, h))
+    x, y = x / w - 1, y / h - 1
+    if corners:
+        x, y = (np.linspace(-1, 1, size, dtype=np.float32) for size in (w, h))
+    pixel = np.stack(np.meshgrid(x, y), -1).reshape(h * w, 2)
+    geometry = jnp.concatenate(
+        [jnp.broadcast_to(pixel, (n, h * w, 2)), rays.reshape(n, h * w, 6)], -1
+    )
+    geometry = jnp.einsum("npk,npc->nkc", weights, geometry, precision="highest")
+    features = features.reshape(n, h * w, -1)
+    pooled = jnp.einsum("npk,npc->nkc", weights.astype(features.dtype), features)
+    return Keypoints(geometry[..., :2], geometry[..., 2:], pooled)
+
+
+def lift_to_height(ray: jax.Array, height: jax.Array) -> jax.Array:
+    """The point of each line at a height.
+
+    Args:
+        ray: Lines (d, m), [..., 6]; d need not have length 1.
+        height: Wanted z of the point, [...].
+
+    Returns:
+        Points [..., 3]. They always lie on their line; lines flatter than `FLATTEST` fall short of
+        the height instead of running off to infinity.
+    """
+    d, m = ray[..., :3], ray[..., 3:]
+    norm2 = jnp.sum(d * d, -1, keepdims=True)
+    foot = jnp.cross(d, m) / norm2  # The line's nearest point to the origin.
+    dz2 = jnp.maximum(d[..., 2] ** 2, FLATTEST**2 * norm2[..., 0])
+    along = (height - foot[..., 2]) * d[..., 2] / dz2
+    return foot + along[..., None] * d
+
+
+class KeypointPool(nnx.Module):
+    """Heat maps over a feature map, and what they pool, as one vector a keypoint."""
+
+    def __init__(self, config: VisionConfig, *, rngs: nnx.Rngs):
+        channels = config.encoder_width
+        self.heat = linear(channels, config.keypoints, rngs=rngs, dtype=config.dtype)
+        self.heat_gain = config.heat_gain
+        self.with_rays = config.network == "keypoints"
+        self.with_lift = self.with_rays and config.lift
+        self.corners = config.pool == "softmax"
+        plain = not self.with_rays and not self.corners
+        self.with_features = config.keypoint_features or plain
+        if self.with_lift:
+            self.height = linear(channels, 1, rngs=rngs, dtype=jnp.float32)
+            self.height_bias = nnx.Param(jnp.zeros(config.keypoints))
+        self.width = 2 + 6 * self.with_rays + 3 * self.with_lift + channels * self.with_features
+
+    def __call__(self, features: jax.Array, rays: jax.Array) -> jax.Array:
+        """Map features [N, h, w, C] and rays [N, h, w, 6] to keypoints [N, k, width], float32."""
+        logits = self.heat(features).astype(jnp.float32) * self.heat_gain
+        points = pool_keypoints(logits, rays, features, corners=self.corners)
+        parts = [points.pixel]
+        if self.with_rays:
+            parts.append(points.ray)
+        if self.with_lift:
+            height = self.height(points.features)[..., 0] + self.height_bias
+            parts.append(lift_to_height(points.ray, height))
+        if self.with_features:
+            parts.append(points.features.astype(jnp.float32))
+        return jnp.concatenate(parts, -1)

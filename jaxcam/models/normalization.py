@@ -1,0 +1,86 @@
+"""What numbers are scaled by before a network sees them, and the floors under that.
+
+Data may not vary in a dimension at all, and then there is nothing to divide by. Two answers are
+right in two places:
+
+- **Actions** are divided by a small floor. What the network gets wrong about a dimension that
+  stands still then shrinks to nothing in raw units, instead of drifting over an episode.
+- **Proprioception** that stands still is divided by 1. A small floor would do harm here, since it
+  blows up the first value that does differ.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxcam.models.policy import Stats
+
+STD_FLOOR = 1e-4
+"""Least standard deviation, of stored statistics as of actions: that of the paper's authors."""
+ORIGINAL_STD_FLOOR = 1e-2
+"""Least standard deviation of actions in the original ACT."""
+LEROBOT_STD_FLOOR = 1e-8
+"""LeRobot adds this to what it divides by, which for us is as good as no floor."""
+RANGE_FLOOR = 1e-6
+"""Least half range of actions, which Diffusion Policy divides by."""
+STANDS_STILL = 1e-3
+"""Proprioception whose deviation or half range is less than this is divided by 1."""
+
+
+class Scale(NamedTuple):
+    """Raw numbers to those that a network sees, and back."""
+
+    middle: np.ndarray
+    """What becomes 0, float32 [D]."""
+    size: np.ndarray
+    """What becomes 1 above the middle, float32 [D]."""
+
+    def normalised(self, raw: Any) -> Any:
+        """Raw numbers [..., D] as a network sees them."""
+        return (raw - self.middle) / self.size
+
+    def raw(self, normalised: Any) -> Any:
+        """A network's numbers [..., D] in raw units."""
+        return normalised * self.size + self.middle
+
+
+def action_deviation(stats: Stats, floor: float = STD_FLOOR) -> Scale:
+    """Actions by mean and standard deviation, the latter at least `floor`."""
+    mean, std = _mean_and_std(stats, "action")
+    return Scale(mean, np.maximum(std, np.float32(floor)))
+
+
+def proprio_deviation(stats: Stats) -> Scale:
+    """Proprioception by mean and standard deviation."""
+    mean, std = _mean_and_std(stats, "proprio")
+    return Scale(mean, _one_where_still(std))
+
+
+def keyframe_deviation(stats: Stats) -> Scale:
+    """Keyframes by mean and standard deviation, whose floor is that of stored statistics."""
+    return Scale(*_mean_and_std(stats, "keyframe"))
+
+
+def action_range(stats: Stats) -> Scale:
+    """Actions by the middle and half of their range, so that they fill -1 to 1."""
+    return _middle_and_half(stats, "action")
+
+
+def proprio_range(stats: Stats) -> Scale:
+    """Proprioception by the middle and half of its range."""
+    middle, half = _middle_and_half(stats, "proprio")
+    return Scale(middle, _one_where_still(half))
+
+
+def _mean_and_std(stats: Stats, name: str) -> tuple[np.ndarray, np.ndarray]:
+    mean, std = (np.asarray(stats[f"{name}_{part}"], np.float32) for part in ("mean", "std"))
+    return mean, std
+
+
+def _middle_and_half(stats: Stats, name: str) -> Scale:
+    low, high = (np.asarray(stats[f"{name}_{end}"], np.float32) for end in ("min", "max"))
+    return Scale((low + high) / 2, np.maximum((high - low) / 2, np.float32(RANGE_FLOOR)))
+
+
+def _one_where_still(size: np.ndarray) -> np.ndarray:
+    return np.where(size < STANDS_STILL, 1, size).astype(np.float32)

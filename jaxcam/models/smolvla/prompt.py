@@ -1,0 +1,53 @@
+"""A task's prompt as the tokens that SmolVLA reads."""
+
+from dataclasses import replace
+
+from jaxcam.errors import ConfigError
+from jaxcam.models.smolvla.config import SmolVlaConfig
+
+NO_TOKENS = (
+    "SmolVLA reads a prompt, and needs SmolVLM2's tokenizer for it. Download tokenizer.json of "
+    "HuggingFaceTB/SmolVLM2-500M-Video-Instruct from huggingface.co, pip install 'jaxcam[smolvla]' "
+    "and pass the file: --model tokenizer=path/to/tokenizer.json"
+)
+
+
+def tokenize(prompt: str, file: str) -> tuple[int, ...]:
+    """A prompt's tokens, with the line break at its end that SmolVLA was trained with.
+
+    Args:
+        prompt: The words.
+        file: A tokenizer.json.
+
+    Raises:
+        ConfigError: The library is missing, or the file is no tokenizer.
+    """
+    try:
+        from tokenizers import Tokenizer  # here, since only the extra `smolvla` brings it
+    except ImportError as error:
+        raise ConfigError(
+            "Reading a tokenizer needs the package tokenizers: pip install 'jaxcam[smolvla]'"
+        ) from error
+    try:
+        tokenizer = Tokenizer.from_file(file)
+    except Exception as error:  # The library raises plain exceptions, whatever is wrong.
+        raise ConfigError(f"{file} is not a tokenizer.json: {error}. {NO_TOKENS}") from error
+    tokenizer.no_padding()
+    tokenizer.no_truncation()
+    return tuple(tokenizer.encode(prompt.rstrip("\n") + "\n").ids)
+
+
+def with_prompt(config: SmolVlaConfig, prompt: str) -> SmolVlaConfig:
+    """The settings with their prompt as tokens, if they name a tokenizer's file.
+
+    Args:
+        config: Settings. A prompt in them counts more than the other one, tokens more than both.
+        prompt: What the task asks for.
+
+    Raises:
+        ConfigError: The prompt cannot be turned into tokens, see `tokenize`.
+    """
+    if config.tokens or not config.tokenizer:
+        return config
+    prompt = config.prompt or prompt
+    return replace(config, prompt=prompt, tokens=tokenize(prompt, config.tokenizer))
