@@ -47,7 +47,7 @@ def demonstration(task: Task, camera: int) -> np.ndarray:
     times = np.linspace(0, demo.length, COLUMNS).round().astype(int)
     pose = sample_poses(task.cameras, camera + 1, TEST_CAMERAS)[camera]
     view = View(
-        qpos=demo.qpos(scene.physics.nq)[times],
+        qpos=demo.qpos[times],
         geom_size=np.repeat(demo.geom_size[None], COLUMNS, 0),
         fixtures=np.repeat(demo.fixtures[None], COLUMNS, 0),
         K=np.tile(intrinsics(task.fovy_deg, TILE), (COLUMNS, 1, 1)),

@@ -26,7 +26,6 @@ from jaxcam.config.datasets import ManiskillConfig, RobomimicConfig
 from jaxcam.data.demos import Demos
 from jaxcam.errors import ConfigError, DatasetError, SimError
 from jaxcam.interop.maniskill_files import is_trajectories
-from jaxcam.sim import make_task
 
 
 def check_dataset(path: Path, count: int, console: Console | None = None) -> Report:
@@ -40,8 +39,7 @@ def check_dataset(path: Path, count: int, console: Console | None = None) -> Rep
     demos, findings = read(path)
     if demos is None:
         return Report(path.name, "It cannot be used.", findings)
-    task = make_task(demos.header.task)
-    scene = task.scene(demos.header.scene)
+    task, scene = demos.task, demos.world
     findings += check_content(demos, scene)
     wrong = {finding.what for finding in findings if finding.mark == "bad"}
     overlays = None

@@ -116,7 +116,7 @@ def check_rate(every: Sequence[Demo]) -> Finding:
 
 def statistics(demos: Demos) -> list[Row]:
     """Least, middle and largest value of what is worth seeing."""
-    every = demos.train + demos.valid
+    every = demos.episodes
     actions = np.concatenate([d.actions for d in every])
     places = np.concatenate([d.eef_pos for d in every])
     quantities: list[tuple[str, np.ndarray]] = [

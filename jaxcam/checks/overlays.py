@@ -43,7 +43,7 @@ class Moment(NamedTuple):
 
 def moments(demos: Demos, count: int) -> list[Moment]:
     """Frames of so many demonstrations, each at another time and from another camera."""
-    every = demos.train + demos.valid
+    every = demos.episodes
     rows = chosen(len(every), count)
     return [
         Moment(row, every[row].length * i // len(rows), i % len(every[row].cameras))
@@ -58,7 +58,7 @@ def chosen(total: int, count: int) -> np.ndarray:
 
 def draw(demos: Demos, shown: Sequence[Moment], painter: Painter) -> np.ndarray:
     """Frames drawn anew, uint8 [N, H, W, 3]."""
-    every, parts = demos.train + demos.valid, []
+    every, parts = demos.episodes, []
     for row, t, camera in shown:
         frame = np.array([t * len(every[row].cameras) + camera])
         parts.append(views_of(every[row], demos, painter.height, frame))
@@ -70,7 +70,7 @@ def draw_over(picture: np.ndarray, demos: Demos, shown: Moment, scene: World) ->
 
     That is the axes of grip and table, and the way of the grip.
     """
-    demo, side = (demos.train + demos.valid)[shown.row], len(picture)
+    demo, side = demos.episodes[shown.row], len(picture)
     pose = demos.header.world_from_camera[demo.cameras[shown.camera]]
     seen = Camera(intrinsics(demos.header.fovy_deg, side), pose, side, side)
     _line(picture, seen, demo.eef_pos, PATH, 1)
@@ -80,8 +80,7 @@ def draw_over(picture: np.ndarray, demos: Demos, shown: Moment, scene: World) ->
 
 def grip_pose(demo: Demo, t: int) -> np.ndarray:
     """World from grip site [4, 4] at a control step."""
-    rotation = matrix_from_quaternion(np.roll(demo.eef_quat[t], 1))
-    return _rigid(rotation, demo.eef_pos[t])
+    return demo.world_from_grip()[t]
 
 
 def table_pose(demo: Demo, scene: World) -> np.ndarray:

@@ -87,7 +87,7 @@ def draw_figures(demos: Demos, task: Task) -> dict[str, Figure]:
 
 @styled
 def _ways(demos: Demos) -> Figure:
-    every = demos.train + demos.valid
+    every = demos.episodes
     figure, (lengths, above) = panels((8.2, 3.6), columns=2)
     lengths.hist([d.length for d in every], bins=24, color=BLUE)
     lengths.set(xlabel="control steps", ylabel="demonstrations", title="Lengths")

@@ -83,7 +83,7 @@ def draw_overlays(demos: Demos, task: Task, scene: World, count: int) -> np.ndar
         scene: of the demonstrations; it can be drawn here.
         count: demonstrations that are shown.
     """
-    every, shown = demos.train + demos.valid, moments(demos, count)
+    every, shown = demos.episodes, moments(demos, count)
     azimuth, elevation, _ = spherical(demos.header.world_from_camera, np.array(task.cameras.centre))
     pictures = draw(demos, shown, scene.painter(PIXELS, varied=task.varied)).copy()
     captions = []

@@ -122,13 +122,11 @@ def make_dataset(
         space: of the actions.
         scene: where the demonstrations were given.
     """
-    every = demos.train + demos.valid
     longest = int(frames.layout.lengths.max())
-    nq = demos.header.nq
     actions, keyframes, proprio = [], [], []
-    for demo in every:
+    for demo in demos.episodes:
         moves = demo_actions(demo, space, scene)
-        state = scene.proprio(demo.qpos(nq), demo.eef_pos)[:-1]
+        state = scene.proprio(demo.qpos, demo.eef_pos)[:-1]
         pad = ((0, longest - demo.length), (0, 0))
         actions.append(np.pad(moves, pad))
         keyframes.append(np.pad(_keyframes(demo, scene), pad))
@@ -143,7 +141,7 @@ def make_dataset(
         actions=np.stack(actions).astype(np.float32),
         keyframes=np.stack(keyframes).astype(np.float32),
         proprio=np.stack(proprio).astype(np.float32),
-        windows=[d.cameras for d in every],
+        windows=[d.cameras for d in demos.episodes],
         train=len(demos.train),
         fingerprint=f"{demos.fingerprint}-{pixels}px-{space}",
     )

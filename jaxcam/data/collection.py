@@ -15,10 +15,9 @@ from jaxcam.data.writer import DemoWriter
 from jaxcam.errors import SimError
 from jaxcam.files.locks import exclusive
 from jaxcam.rays import sample_poses, stair, stair_cameras
-from jaxcam.rays.rotations import quaternion_from_matrix, rotvec_from_matrix
+from jaxcam.rays.rotations import rotvec_from_matrix
 from jaxcam.runs.identity import with_task
 from jaxcam.sim import make_engine, make_task
-from jaxcam.sim.controllers import CONTROL_HZ
 from jaxcam.sim.engine import Command, Engine, Start, State
 from jaxcam.sim.task import Aim, Sight, Task, starts
 from jaxcam.sim.world import World
@@ -198,28 +197,23 @@ def _command(aim: Aim | None) -> np.ndarray:
 def _demo(
     trace: list[State], commands: list[np.ndarray], start: Start, i: int, seed: int, length: int
 ) -> Demo:
-    rows = trace[: length + 1]
-    time = np.arange(length + 1)[:, None] / CONTROL_HZ
-    qpos = np.stack([s.qpos[i] for s in rows])
-    qvel = np.stack([s.qvel[i] for s in rows])
-    quat = quaternion_from_matrix(np.stack([s.grip_rotation[i] for s in rows]))
-    return Demo(
+    states = trace[: length + 1]
+    return Demo.record(
+        Start(*(x[i] for x in start)),
         seed=seed,
-        states=np.concatenate([time, qpos, qvel], 1),
+        qpos=np.stack([s.qpos[i] for s in states]),
+        qvel=np.stack([s.qvel[i] for s in states]),
         actions=np.stack([c[i] for c in commands[:length]]),
-        eef_pos=np.stack([s.grip_position[i] for s in rows]),
-        eef_quat=np.roll(quat, -1, -1),
-        gripper=np.array([s.closed[i] for s in rows]),
-        geom_size=start.geom_size[i],
-        fixtures=start.fixtures[i],
-        cameras=np.empty(0, int),
+        grip_position=np.stack([s.grip_position[i] for s in states]),
+        grip_rotation=np.stack([s.grip_rotation[i] for s in states]),
+        gripper=np.array([s.closed[i] for s in states]),
     )
 
 
 def main(config: CollectConfig, console: Console) -> None:
     """Runs the command."""
     demos = collect(config, console)
-    lengths = [d.length for d in demos.train + demos.valid]
+    lengths = [d.length for d in demos.episodes]
     console.print(
         f"{demos.path}: {len(demos.train)} training and {len(demos.valid)} validation "
         f"demonstrations of {min(lengths)} to {max(lengths)} control steps "

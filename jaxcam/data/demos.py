@@ -22,7 +22,7 @@ import contextlib
 import hashlib
 import json
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,16 @@ import numpy as np
 
 from jaxcam.errors import DatasetError
 from jaxcam.rays._checks import ROTATION_TOLERANCE
-from jaxcam.rays.rotations import nearest_rotation
+from jaxcam.rays.rotations import (
+    matrix_from_quaternion,
+    nearest_rotation,
+    quaternion_from_matrix,
+)
+from jaxcam.sim import make_task
+from jaxcam.sim.controllers import CONTROL_HZ
+from jaxcam.sim.engine import Start
+from jaxcam.sim.task import Task
+from jaxcam.sim.world import World
 
 FORMAT = 1
 ROUNDED = 1e-6
@@ -44,9 +53,11 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Demo:
-    """One demonstration of T control steps."""
+    """One demonstration of T control steps; its arrays are those of the file (see above)."""
 
     seed: int
+    nq: int
+    """Joint positions in a row of `states`."""
     states: np.ndarray = field(repr=False)
     actions: np.ndarray = field(repr=False)
     eef_pos: np.ndarray = field(repr=False)
@@ -62,9 +73,70 @@ class Demo:
         """Control steps."""
         return len(self.actions)
 
-    def qpos(self, nq: int) -> np.ndarray:
-        """Joint positions [T + 1, nq]."""
-        return self.states[:, 1 : 1 + nq]
+    @property
+    def qpos(self) -> np.ndarray:
+        """Joint positions before each action, and after the last one [T + 1, nq]."""
+        return self.states[:, 1 : 1 + self.nq]
+
+    @property
+    def qvel(self) -> np.ndarray:
+        """Joint velocities at the same times [T + 1, nv]."""
+        return self.states[:, 1 + self.nq :]
+
+    def start(self) -> Start:
+        """What fixes the episode before its first step."""
+        return Start(self.qpos[0], self.geom_size, self.fixtures)
+
+    def world_from_grip(self) -> np.ndarray:
+        """Measured poses of the grip site before each action, and after the last [T + 1, 4, 4]."""
+        poses = np.tile(np.eye(4), (len(self.eef_pos), 1, 1))
+        poses[:, :3, :3] = matrix_from_quaternion(np.roll(self.eef_quat, 1, -1))
+        poses[:, :3, 3] = self.eef_pos
+        return poses
+
+    @classmethod
+    def record(
+        cls,
+        start: Start,
+        *,
+        seed: int,
+        qpos: np.ndarray,
+        qvel: np.ndarray,
+        actions: np.ndarray,
+        grip_position: np.ndarray,
+        grip_rotation: np.ndarray,
+        gripper: np.ndarray,
+    ) -> "Demo":
+        """A demonstration as it is made, without cameras.
+
+        Args:
+            start: What else fixes the episode than `qpos`.
+            seed: Of the episode.
+            qpos: Joint positions before each action, and after the last one [T + 1, nq].
+            qvel: Joint velocities at the same times [T + 1, nv].
+            actions: Commanded grip poses (m, rotation vector; world) and gripper signs [T, 7].
+            grip_position: Measured grip site (m, world) [T + 1, 3].
+            grip_rotation: Its axes in the world [T + 1, 3, 3].
+            gripper: The gripper's command in [-1 open, 1 closed] [T + 1].
+        """
+        time = np.arange(len(qpos))[:, None] / CONTROL_HZ
+        return cls(
+            seed=seed,
+            nq=qpos.shape[1],
+            states=np.concatenate([time, qpos, qvel], 1),
+            actions=actions,
+            eef_pos=grip_position,
+            eef_quat=np.roll(quaternion_from_matrix(grip_rotation), -1, -1),
+            gripper=gripper,
+            geom_size=start.geom_size,
+            fixtures=start.fixtures,
+            cameras=np.empty(0, int),
+        )
+
+
+def starts_of(demos: Sequence[Demo]) -> Start:
+    """The starts of several demonstrations of one world, stacked."""
+    return Start(*(np.stack(x) for x in zip(*(demo.start() for demo in demos), strict=True)))
 
 
 @dataclass(frozen=True)
@@ -116,6 +188,21 @@ class Demos:
     valid: list[Demo] = field(repr=False)
     fingerprint: str
     """Hash of all states, commands and cameras."""
+
+    @property
+    def episodes(self) -> list[Demo]:
+        """All demonstrations in the file's order: those for training, then for validation."""
+        return self.train + self.valid
+
+    @property
+    def task(self) -> Task:
+        """The task that is demonstrated."""
+        return make_task(self.header.task)
+
+    @property
+    def world(self) -> World:
+        """The task's world in which it is."""
+        return self.task.scene(self.header.scene)
 
 
 def read_demos(path: Path, *, task: str | None = None, scene: str | None = None) -> Demos:
@@ -175,7 +262,7 @@ def _orthonormal(path: Path, header: Header) -> Header:
 
 def seal_of(demos: Demos) -> str:
     """Hash of all that is read of a file; checksums see arrays, but attributes have none."""
-    seeds = [d.seed for d in demos.train + demos.valid]
+    seeds = [d.seed for d in demos.episodes]
     content = [demos.fingerprint, demos.header.identity(), seeds]
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
@@ -263,6 +350,7 @@ def _read_demo(path: Path, file: h5py.File, index: int, header: Header) -> Demo:
     try:
         demo = Demo(
             seed=int(group.attrs["seed"]),
+            nq=header.nq,
             states=group["states"][:],
             actions=group["actions"][:],
             eef_pos=group["obs/robot0_eef_pos"][:],

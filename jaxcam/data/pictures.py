@@ -131,7 +131,7 @@ def _render(
     missing = np.flatnonzero(wanted & ~part.drawn)
     if len(missing):
         part.make_room(len(missing))
-        every = demos.train + demos.valid
+        episodes = demos.episodes
         groups = [
             rows[i : i + FRAMES_AT_ONCE]
             for rows in np.split(missing, np.flatnonzero(np.diff(layout.owner(missing))) + 1)
@@ -140,7 +140,7 @@ def _render(
 
         def view(rows: np.ndarray) -> View:
             d = layout.owner(rows[0])
-            return views_of(every[d], demos, resolution, rows - layout.first[d])
+            return views_of(episodes[d], demos, resolution, rows - layout.first[d])
 
         total = int(wanted.sum())
         drawn = _draw(demos.header, resolution, map(view, groups), len(groups))
@@ -217,7 +217,7 @@ def views_of(demo: Demo, demos: Demos, resolution: int, which: np.ndarray | None
     count = len(frames)
     K = intrinsics(demos.header.fovy_deg, resolution)
     return View(
-        qpos=demo.qpos(demos.header.nq)[t],
+        qpos=demo.qpos[t],
         geom_size=np.broadcast_to(demo.geom_size, (count, *demo.geom_size.shape)),
         fixtures=np.broadcast_to(demo.fixtures, (count, *demo.fixtures.shape)),
         K=np.broadcast_to(K, (count, 3, 3)),

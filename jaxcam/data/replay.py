@@ -13,11 +13,11 @@ from rich.table import Table
 
 from jaxcam.config.datasets import ManiskillConfig, ReplayConfig
 from jaxcam.console.progress import progress
-from jaxcam.data.demos import Demo, Header, read_demos
+from jaxcam.data.demos import Demo, Header, read_demos, starts_of
 from jaxcam.interop.maniskill_files import is_trajectories
 from jaxcam.sim import make_engine, make_task
 from jaxcam.sim.actions import ACTION_SPACES, controller_of, decode, demo_actions, measured
-from jaxcam.sim.engine import Command, Engine, OpenLoop, Start
+from jaxcam.sim.engine import Command, Engine, OpenLoop
 from jaxcam.sim.task import Task
 from jaxcam.sim.world import World
 
@@ -52,11 +52,7 @@ def play(
     Returns:
         Whether each succeeded at any step of its own, bool [D], and the way there [T + 1, D, nq].
     """
-    start = Start(
-        qpos=np.stack([d.states[0, 1 : 1 + scene.nq] for d in demos]),
-        geom_size=np.stack([d.geom_size for d in demos]),
-        fixtures=np.stack([d.fixtures for d in demos]),
-    )
+    start = starts_of(demos)
     lengths = np.array([d.length for d in demos]) + SETTLE
     actions = [_held(demo_actions(d, space, scene), space, max(lengths)) for d in demos]
     anchor = measured(space, engine.reset(start), scene.arm)
@@ -140,5 +136,5 @@ def main(config: ReplayConfig, console: Console) -> int:
         found = run(ManiskillConfig(file=config.dataset), spaces, config.engine, console)
     else:
         data = read_demos(path)
-        found = tell(data.train + data.valid, data.header, spaces, config.engine, console)
+        found = tell(data.episodes, data.header, spaces, config.engine, console)
     return int(any(success.mean() < GATE for success in found.values()))

@@ -24,8 +24,10 @@ class Layout:
     @classmethod
     def of(cls, demos: Demos) -> "Layout":
         """The layout of a dataset; training demonstrations come first, validation ones after."""
-        every = demos.train + demos.valid
-        return cls(np.array([d.length for d in every]), np.array([len(d.cameras) for d in every]))
+        episodes = demos.episodes
+        return cls(
+            np.array([d.length for d in episodes]), np.array([len(d.cameras) for d in episodes])
+        )
 
     @cached_property
     def first(self) -> np.ndarray:

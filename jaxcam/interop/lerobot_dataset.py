@@ -25,7 +25,6 @@ from jaxcam.data.pictures import load_frames
 from jaxcam.errors import DatasetError
 from jaxcam.files.locks import exclusive
 from jaxcam.interop.lerobot_format import VERSION, Writer, feature, video_feature, write_json
-from jaxcam.sim import make_task
 from jaxcam.sim.actions import is_joint
 from jaxcam.sim.controllers import CONTROL_HZ
 from jaxcam.sim.world import World
@@ -55,7 +54,7 @@ def export(config: LerobotConfig, console: Console | None = None) -> Path:
     if not chosen:
         raise DatasetError(f"{demos.path}: no validation demonstrations to export.")
     _refuse_existing(out)
-    scene = make_task(demos.header.task).scene(demos.header.scene)
+    scene = demos.world
     frames = load_frames(demos, config.resolution, console)
     data = make_dataset(demos, frames, config.action_space, scene)
     part = out.with_name(out.name + ".part")
@@ -88,7 +87,7 @@ def _write(
 ) -> None:
     views = [f"view_{v}" for v in range(len(data.windows[chosen[0]]))]
     features = _features(config, data, views)
-    instruction = config.instruction or make_task(demos.header.task).prompt
+    instruction = config.instruction or demos.task.prompt
     total = int(data.lengths[list(chosen)].sum())
     with (
         Writer(root, features, CONTROL_HZ, instruction) as writer,

@@ -9,7 +9,7 @@ that of ManiSkill's `RecordEpisode` (mani_skill 3), which the official demonstra
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import cast
 
 import numpy as np
 from rich.console import Console
@@ -22,8 +22,9 @@ from jaxcam.data.replay import GATE, play, tell
 from jaxcam.errors import DatasetError
 from jaxcam.interop.importing import succeeds, write_dataset
 from jaxcam.interop.maniskill_files import open_file, read_demo, read_source, why_failed
-from jaxcam.sim import make_engine, make_task
+from jaxcam.sim import make_engine
 from jaxcam.sim.actions import ACTION_SPACES, controller_of
+from jaxcam.sim.maniskill.task import SapienWorld
 
 ASTRAY = 0.02
 """Distance (m) from where it was recorded at which a replayed object has gone another way."""
@@ -114,7 +115,7 @@ def run(
     console.print(f"{data.path}: {len(found.names)} of {total} trajectories succeed.")
     for name, why in found.dropped.items():
         console.print(f"{name}: {why}")
-    demos = data.train + data.valid
+    demos = data.episodes
     replayed = tell(demos, data.header, spaces, engine, console)
     for space, success in replayed.items():
         for i in np.flatnonzero(~success):
@@ -125,11 +126,10 @@ def run(
 
 def _why_lost(demo: Demo, space: str, data: Demos, engine: str | None) -> str:
     """How the replay of a demonstration that fails differs from its states."""
-    task: Any = make_task(data.header.task)
-    scene = task.scene(data.header.scene)
+    task, scene = data.task, cast(SapienWorld, data.world)
     stepped = make_engine(engine or scene.engines[0], scene, controller_of(space), task.varied)
     _, way = play([demo], space, task, scene, stepped)
-    recorded = demo.states[:, 1 : 1 + scene.nq]
+    recorded = demo.qpos
     steps = min(len(way), len(recorded))
     for name in scene.objects:
         at = scene.qpos_of(name)

@@ -25,6 +25,7 @@ from jaxcam.interop.maniskill_actions import grip_targets, gripper_signs
 from jaxcam.rays.rotations import quaternion_from_matrix, rotvec_from_matrix
 from jaxcam.sim import make_task
 from jaxcam.sim.controllers import CONTROL_HZ
+from jaxcam.sim.engine import Start
 from jaxcam.sim.maniskill import kinematics
 from jaxcam.sim.maniskill.memory import JOINTS
 from jaxcam.sim.maniskill.task import ManiSkillTask, SapienWorld
@@ -180,16 +181,15 @@ def _convert(source: Source, states: Any, actions: np.ndarray, mode: str, seed: 
     position, rotation = _in_world(scene, position, rotation)
     aim, aim_rotation = _in_world(scene, *targets)
     gripper = gripper_signs(actions)
-    return Demo(
+    return Demo.record(
+        Start(qpos[0], np.zeros((0, 3)), fixtures),
         seed=seed,
-        states=np.concatenate([np.arange(len(qpos))[:, None] / CONTROL_HZ, qpos, qvel], 1),
+        qpos=qpos,
+        qvel=qvel,
         actions=np.column_stack([aim, rotvec_from_matrix(aim_rotation), gripper]),
-        eef_pos=position,
-        eef_quat=np.roll(quaternion_from_matrix(rotation), -1, -1),
+        grip_position=position,
+        grip_rotation=rotation,
         gripper=np.concatenate([[-1.0], gripper]),
-        geom_size=np.zeros((0, 3)),
-        fixtures=fixtures,
-        cameras=np.empty(0, int),
     )
 
 

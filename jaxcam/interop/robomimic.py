@@ -30,9 +30,10 @@ from jaxcam.interop.robosuite_model import (
     read_controller,
     read_origin,
 )
-from jaxcam.rays.rotations import quaternion_from_matrix, rotvec_from_matrix
+from jaxcam.rays.rotations import rotvec_from_matrix
 from jaxcam.sim import make_task
 from jaxcam.sim.controllers import CONTROL_HZ, gripper_command
+from jaxcam.sim.engine import Start
 from jaxcam.sim.mujoco.scene import Scene
 from jaxcam.sim.task import Task
 
@@ -231,17 +232,15 @@ def _convert(
     closed = [0.0]
     for sign in gripper:
         closed.append(float(gripper_command(np.array(closed[-1]), sign)))
-    time = np.arange(len(states))[:, None] / CONTROL_HZ
-    return Demo(
+    return Demo.record(
+        Start(qpos[0], origin.geom_size, task.start(scene, seed).fixtures),
         seed=seed,
-        states=np.concatenate([time, qpos, qvel], 1),
+        qpos=qpos,
+        qvel=qvel,
         actions=np.column_stack([targets, gripper]),
-        eef_pos=position,
-        eef_quat=np.roll(quaternion_from_matrix(rotation), -1, -1),
+        grip_position=position,
+        grip_rotation=rotation,
         gripper=np.array(closed),
-        geom_size=origin.geom_size,
-        fixtures=task.start(scene, seed).fixtures,
-        cameras=np.empty(0, int),
     )
 
 
@@ -281,24 +280,21 @@ def success_of(demos: Demos, console: Console | None = None) -> tuple[np.ndarray
         demos: an imported dataset.
         console: for progress; silent when None.
     """
-    task = make_task(demos.header.task)
-    scene = task.scene(demos.header.scene)
-    every = demos.train + demos.valid
-    recorded = np.array([succeeds(demo, task, scene) for demo in every])
-    with progress(console, "replaying", len(every)) as advance:
-        replayed = replay_all(every, task, scene, ("eef_abs",), tick=advance)["eef_abs"]
+    task, world, episodes = demos.task, demos.world, demos.episodes
+    recorded = np.array([succeeds(demo, task, world) for demo in episodes])
+    with progress(console, "replaying", len(episodes)) as advance:
+        replayed = replay_all(episodes, task, world, ("eef_abs",), tick=advance)["eef_abs"]
     return recorded, replayed
 
 
 def main(config: RobomimicConfig, console: Console) -> None:
     """Runs the command."""
     demos = import_demos(config, console)
-    every = demos.train + demos.valid
     recorded, replayed = success_of(demos, console)
     console.print(
         f"{demos.path}: {len(demos.train)} training and {len(demos.valid)} validation "
-        f"demonstrations. {recorded.sum()} of {len(every)} succeed as recorded, {replayed.sum()} "
-        "when their commands are replayed here."
+        f"demonstrations. {recorded.sum()} of {len(recorded)} succeed as recorded, "
+        f"{replayed.sum()} when their commands are replayed here."
     )
     failed = ", ".join(f"demo_{i}" for i in np.flatnonzero(~replayed))
     if failed:

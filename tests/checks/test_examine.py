@@ -173,7 +173,7 @@ def test_moments_are_spread_over_demonstrations_times_and_cameras(demos):
     shown = moments(demos, 4)
     assert [m.row for m in shown] == [0, 1, 3, 5]
     assert [m.camera for m in shown] == [0, 1, 2, 0]
-    every = demos.train + demos.valid
+    every = demos.episodes
     assert all(0 <= m.t < every[m.row].length for m in shown)
     assert len({m.t for m in shown}) == 4
     assert len(moments(demos, 99)) == 6

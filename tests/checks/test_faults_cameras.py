@@ -18,7 +18,7 @@ CAMERAS = 60
 @pytest.fixture(scope="module")
 def many(demos):
     """The session's demonstrations ten times, each seen by a camera of its own."""
-    every = (demos.train + demos.valid) * (CAMERAS // 6)
+    every = demos.episodes * (CAMERAS // 6)
     train = [replace(demo, cameras=np.array([i])) for i, demo in enumerate(every)]
     poses = sample_poses(POSE_RANGES["robosuite"], CAMERAS, 1)
     header = replace(demos.header, world_from_camera=poses, train=CAMERAS, valid=0)

@@ -78,7 +78,7 @@ def test_a_batch_holds_what_its_index_names(dataset, demos, frames, scene):
         d = demos.train[demo[b]]
         moves = demo_actions(d, "eef_delta", scene)
         np.testing.assert_allclose(batch["action"][b], moves[t[b] : t[b] + CHUNK], atol=1e-6)
-        qpos = d.qpos(demos.header.nq)[t[b]]
+        qpos = d.qpos[t[b]]
         np.testing.assert_allclose(batch["proprio"][b, :7], qpos[:7], atol=1e-6)
         reach = scene.world_from_base @ np.append(batch["proprio"][b, 7:10], 1)
         np.testing.assert_allclose(reach[:3], d.eef_pos[t[b]], atol=1e-6)
@@ -118,9 +118,7 @@ def test_what_is_past_the_end_is_masked_and_zero(dataset):
 
 def test_statistics_are_of_the_training_demonstrations(dataset, demos, scene):
     moves = np.concatenate([demo_actions(d, "eef_delta", scene) for d in demos.train])
-    felt = np.concatenate(
-        [scene.proprio(d.qpos(demos.header.nq), d.eef_pos)[:-1] for d in demos.train]
-    )
+    felt = np.concatenate([scene.proprio(d.qpos, d.eef_pos)[:-1] for d in demos.train])
     stats = dataset.stats()
     assert all(v.dtype == np.float32 for v in stats.values())
     expected = {

@@ -70,7 +70,7 @@ def test_layout_is_robomimics(demos):
         assert set(file) == {"data", "cameras", "mask"}
         data = file["data"]
         assert json.loads(data.attrs["env_args"])["env_name"] == "lift"
-        assert data.attrs["total"] == sum(d.length for d in demos.train + demos.valid)
+        assert data.attrs["total"] == sum(d.length for d in demos.episodes)
         train = [name.decode() for name in file["mask/train"]]
         valid = [name.decode() for name in file["mask/valid"]]
         assert train == [f"demo_{i}" for i in range(4)]
@@ -116,8 +116,8 @@ def test_a_killed_collection_ends_as_an_uninterrupted_one(demos, tmp_path):
     assert resumed.fingerprint == demos.fingerprint
     with h5py.File(resumed.path) as file:
         assert file["data/demo_1/states"].id.get_chunk_info(0).byte_offset == kept
-        assert file["data"].attrs["total"] == sum(d.length for d in demos.train + demos.valid)
-    for a, b in zip(resumed.train + resumed.valid, demos.train + demos.valid, strict=True):
+        assert file["data"].attrs["total"] == sum(d.length for d in demos.episodes)
+    for a, b in zip(resumed.episodes, demos.episodes, strict=True):
         np.testing.assert_array_equal(a.eef_pos, b.eef_pos)
         np.testing.assert_array_equal(a.eef_quat, b.eef_quat)
         assert a.seed == b.seed

@@ -30,7 +30,7 @@ def pictures_in(demos):
 
 
 def test_cached_pictures_are_fresh_renders_of_state_and_camera(demos, frames, renderer):
-    every = demos.train + demos.valid
+    every = demos.episodes
     assert len(frames.pictures) == sum(d.length * len(d.cameras) for d in every)
     rng = np.random.default_rng(0)
     seen = set()
@@ -38,7 +38,7 @@ def test_cached_pictures_are_fresh_renders_of_state_and_camera(demos, frames, re
         t, c = int(rng.integers(demo.length)), int(rng.integers(len(demo.cameras)))
         for t_, c_ in {(t, c), (0, 0), (demo.length - 1, len(demo.cameras) - 1)}:
             view = View(
-                demo.qpos(demos.header.nq)[[t_]],
+                demo.qpos[[t_]],
                 demo.geom_size[None],
                 demo.fixtures[None],
                 intrinsics(45, PIXELS)[None],
@@ -53,7 +53,7 @@ def test_cached_pictures_are_fresh_renders_of_state_and_camera(demos, frames, re
 def test_every_frame_has_one_place(demos, frames):
     rows = [
         frames.layout.at(np.array(i), np.array(t), np.array(c))
-        for i, d in enumerate(demos.train + demos.valid)
+        for i, d in enumerate(demos.episodes)
         for t in range(d.length)
         for c in range(len(d.cameras))
     ]

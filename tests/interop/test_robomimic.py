@@ -15,6 +15,7 @@ from places import GOLDEN
 from jaxcam.checks.examine import examine
 from jaxcam.config.datasets import RobomimicConfig
 from jaxcam.config.train import TrainConfig
+from jaxcam.data.demos import starts_of
 from jaxcam.data.pictures import Frames
 from jaxcam.data.samples import Layout
 from jaxcam.errors import ConfigError, DatasetError
@@ -24,7 +25,7 @@ from jaxcam.pipeline import _dataset, _like_its_dataset, train
 from jaxcam.rays.rotations import matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.runs.identity import resolve
 from jaxcam.sim.actions import encode
-from jaxcam.sim.engine import Command, Start
+from jaxcam.sim.engine import Command
 from jaxcam.sim.mujoco.native import NativeEngine
 
 VERSIONS = ("1.4", "1.5")
@@ -83,9 +84,7 @@ def test_replayed_commands_go_the_recorded_way(lift, files, version):
     for demo in imported(files[version]).train:
         scene = lift.scene("randomized")
         engine = NativeEngine(scene, varied=lift.varied)
-        nq = scene.physics.nq
-        start = Start(demo.states[:1, 1 : 1 + nq], demo.geom_size[None], demo.fixtures[None])
-        state = engine.reset(start)
+        state = engine.reset(starts_of([demo]))
         apart = []
         for action, there in zip(demo.actions, demo.eef_pos[1:], strict=True):
             state = engine.step(state, Command(action[None, :6], action[None, 6]))
@@ -338,7 +337,7 @@ def test_training_takes_a_dataset_and_its_numbers(tmp_path, files, monkeypatch):
     black = Frames(np.zeros((total, 16, 16, 3), np.uint8), layout, np.ones(total, bool))
     monkeypatch.setattr("jaxcam.data.pictures.load_frames", lambda *_: black)
     data = _dataset([resolve(like)], None)
-    assert data.lengths.tolist() == [d.length for d in demos.train + demos.valid]
+    assert data.lengths.tolist() == [d.length for d in demos.episodes]
     assert [len(w) for w in data.windows] == [2, 1]
     assert demos.fingerprint in data.fingerprint
     with pytest.raises(ConfigError, match=r"demos is 1 in .* but 7 was asked. Leave --demos out"):
