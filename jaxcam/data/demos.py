@@ -30,6 +30,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from jaxcam.data.hdf5 import Format, format_of, open_hdf5, whole
 from jaxcam.errors import DatasetError
 from jaxcam.rays._checks import ROTATION_TOLERANCE
 from jaxcam.rays.rotations import (
@@ -46,7 +47,8 @@ from jaxcam.sim.world import World
 FORMAT = 1
 ROUNDED = 1e-6
 """Largest entry of |RᵀR - I| of a camera's rotation that is left as it is."""
-_HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+REMEDY = "Delete it and collect again, or copy it anew."
+"""What to do with a file that is damaged."""
 
 _log = logging.getLogger(__name__)
 
@@ -286,22 +288,9 @@ def faults_of(path: Path) -> list[DatasetError]:
 
 @contextlib.contextmanager
 def _open(path: Path) -> Iterator[h5py.File]:
-    if not path.exists():
-        raise DatasetError(f"{path}: no such dataset. Make it with: python -m jaxcam.collect")
-    try:
-        with h5py.File(path, "r") as file:
-            yield file
-    except DatasetError:
-        raise
-    except (OSError, RuntimeError, LookupError, TypeError, ValueError) as error:
-        # HDF5's library reports damage in all of these ways.
-        head = path.read_bytes()[:8]
-        if head != _HDF5_SIGNATURE:
-            raise DatasetError(f"{path}: not an HDF5 file; it starts with {head!r}.") from error
-        raise DatasetError(
-            f"{path}: damaged or truncated ({path.stat().st_size} bytes; {error}). Delete it and "
-            "collect again, or copy it anew."
-        ) from error
+    missing = "no such dataset. Make it with: python -m jaxcam.collect"
+    with open_hdf5(path, missing=missing, remedy=REMEDY) as file, whole(path, REMEDY):
+        yield file
 
 
 def _read_header(path: Path, file: h5py.File) -> Header:
@@ -329,17 +318,13 @@ def _read_header(path: Path, file: h5py.File) -> Header:
 
 def _whose(path: Path, file: h5py.File) -> str:
     """Whose layout a file has that is not ours, and what to do with it."""
-    if any(str(name).startswith("traj_") for name in file):
-        return f"It looks like ManiSkill's: python -m jaxcam.maniskill {path}"
-    data: Any = file.get("data", {})
-    if "env_args" in getattr(data, "attrs", {}):
-        return f"It looks like robomimic's: python -m jaxcam.robomimic {path}"
-    if "env" in getattr(data, "attrs", {}):
-        return (
-            "It looks like robosuite's own recording: turn it into robomimic's layout with "
-            "robomimic's convert_robosuite.py, then: python -m jaxcam.robomimic FILE"
-        )
-    return "Expected the layout in docs/data.md."
+    hints: dict[Format, str] = {
+        "maniskill": f"It looks like ManiSkill's: python -m jaxcam.maniskill {path}",
+        "robomimic": f"It looks like robomimic's: python -m jaxcam.robomimic {path}",
+        "robosuite": "It looks like robosuite's own recording: turn it into robomimic's layout "
+        "with robomimic's convert_robosuite.py, then: python -m jaxcam.robomimic FILE",
+    }
+    return hints.get(format_of(file), "Expected the layout in docs/data.md.")
 
 
 def _read_demo(path: Path, file: h5py.File, index: int, header: Header) -> Demo:

@@ -1,21 +1,18 @@
-"""`python -m jaxcam.replay DATASET`: what demonstrations are worth in each action space.
+"""What demonstrations are worth in each action space.
 
 Every demonstration's commands are turned into actions of a space and executed, open loop, from the
 state that it began in. The paper asks for at least 99 % in each space (section V-A4).
 """
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from jaxcam.config.datasets import ManiskillConfig, ReplayConfig
 from jaxcam.console.progress import progress
-from jaxcam.data.demos import Demo, Header, read_demos, starts_of
-from jaxcam.interop.maniskill_files import is_trajectories
-from jaxcam.sim import make_engine, make_task
+from jaxcam.data.demos import Demo, Demos, starts_of
+from jaxcam.sim import make_engine
 from jaxcam.sim.actions import ACTION_SPACES, controller_of, decode, demo_actions, measured
 from jaxcam.sim.engine import Command, Engine, OpenLoop
 from jaxcam.sim.task import Task
@@ -106,35 +103,25 @@ def replay_all(
     return found
 
 
-def tell(
-    demos: Sequence[Demo], header: Header, spaces: Sequence[str], engine: str | None, to: Console
+def show_replayed(
+    demos: Demos, spaces: Sequence[str], engine: str | None, to: Console
 ) -> dict[str, np.ndarray]:
-    """Replays demonstrations and prints a table of how many succeed; see `replay_all`."""
-    task = make_task(header.task)
-    scene = task.scene(header.scene)
-    with progress(to, "replaying", len(demos) * len(spaces)) as advance:
-        found = replay_all(demos, task, scene, spaces, engine, advance)
-    table = Table(title=f"{header.task}, {header.scene}: {len(demos)} demonstrations")
+    """Replays a dataset and prints a table of how many succeed; see `replay_all`."""
+    episodes, header = demos.episodes, demos.header
+    with progress(to, "replaying", len(episodes) * len(spaces)) as advance:
+        found = replay_all(episodes, demos.task, demos.world, spaces, engine, advance)
+    table = Table(title=f"{header.task}, {header.scene}: {len(episodes)} demonstrations")
     for column in ("action space", "succeed", "rate", "fail"):
         table.add_column(column, justify="left" if column != "rate" else "right")
     for space, success in found.items():
         failed = ", ".join(f"demo_{i}" for i in np.flatnonzero(~success))
-        table.add_row(space, f"{success.sum()} of {len(demos)}", f"{success.mean():.1%}", failed)
+        table.add_row(space, f"{success.sum()} of {len(episodes)}", f"{success.mean():.1%}", failed)
     to.print(table)
-    if any(success.mean() < GATE for success in found.values()):
+    if falls_short(found):
         to.print(f"Below {GATE:.0%}: policies of that space learn from what does not work.")
     return found
 
 
-def main(config: ReplayConfig, console: Console) -> int:
-    """Runs the command; its exit code."""
-    path = Path(config.dataset)
-    spaces = config.action_space or ACTION_SPACES
-    if is_trajectories(path):
-        from jaxcam.interop.maniskill import run
-
-        found = run(ManiskillConfig(file=config.dataset), spaces, config.engine, console)
-    else:
-        data = read_demos(path)
-        found = tell(data.episodes, data.header, spaces, config.engine, console)
-    return int(any(success.mean() < GATE for success in found.values()))
+def falls_short(replayed: dict[str, np.ndarray]) -> bool:
+    """Whether fewer than `GATE` of the demonstrations succeed in some space; see `replay_all`."""
+    return any(success.mean() < GATE for success in replayed.values())

@@ -18,7 +18,7 @@ from jaxcam.config.datasets import ManiskillConfig
 from jaxcam.console.progress import progress
 from jaxcam.data.collection import FIRST_SEED
 from jaxcam.data.demos import Demo, Demos
-from jaxcam.data.replay import GATE, play, tell
+from jaxcam.data.replay import falls_short, play, show_replayed
 from jaxcam.errors import DatasetError
 from jaxcam.interop.importing import succeeds, write_dataset
 from jaxcam.interop.maniskill_files import open_file, read_demo, read_source, why_failed
@@ -115,11 +115,11 @@ def run(
     console.print(f"{data.path}: {len(found.names)} of {total} trajectories succeed.")
     for name, why in found.dropped.items():
         console.print(f"{name}: {why}")
-    demos = data.episodes
-    replayed = tell(demos, data.header, spaces, engine, console)
+    replayed = show_replayed(data, spaces, engine, console)
     for space, success in replayed.items():
         for i in np.flatnonzero(~success):
-            console.print(f"{space}, {found.names[i]}: {_why_lost(demos[i], space, data, engine)}")
+            why = _why_lost(data.episodes[i], space, data, engine)
+            console.print(f"{space}, {found.names[i]}: {why}")
     console.print(f"Train on it: python -m jaxcam.train --dataset {data.path}", soft_wrap=True)
     return replayed
 
@@ -146,4 +146,4 @@ def _why_lost(demo: Demo, space: str, data: Demos, engine: str | None) -> str:
 def main(config: ManiskillConfig, console: Console) -> int:
     """Runs the command; its exit code."""
     found = run(config, ACTION_SPACES, None, console)
-    return int(any(success.mean() < GATE for success in found.values()))
+    return int(falls_short(found))

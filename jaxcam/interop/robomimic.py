@@ -20,8 +20,9 @@ from jaxcam.config.datasets import RobomimicConfig
 from jaxcam.console.progress import progress
 from jaxcam.data.collection import FIRST_SEED
 from jaxcam.data.demos import Demo, Demos
+from jaxcam.data.hdf5 import open_hdf5, whole
 from jaxcam.data.replay import replay_all
-from jaxcam.errors import ConfigError, DatasetError, JaxcamError, closest
+from jaxcam.errors import ConfigError, DatasetError, closest
 from jaxcam.interop.importing import succeeds, write_dataset
 from jaxcam.interop.robosuite_model import (
     Controller,
@@ -47,6 +48,8 @@ OTHERS = {
 """Environments that are like one of our tasks, and why their states mean nothing there."""
 STILL = 1e-4
 """Change of the fingers' opening (m) in a control step below which they hold."""
+REMEDY = "Download it again."
+"""What to do with a file that is damaged."""
 LEAD = 4
 """Control steps by which the pose that becomes a command lies ahead where only states are known:
 the controller follows 2 / sqrt(150) s behind, 3.3 steps, so the next step's pose would be late. Of
@@ -54,7 +57,7 @@ the controller follows 2 / sqrt(150) s behind, 3.3 steps, so the next step's pos
 
 
 @dataclass(frozen=True)
-class Source:
+class DemonstrationFile:
     """A robomimic file, open."""
 
     path: Path
@@ -83,6 +86,8 @@ class Source:
             ) from error
         except DatasetError as error:
             raise DatasetError(f"{self.path}: data/{name}: {error}") from error
+        except (OSError, RuntimeError) as error:
+            raise DatasetError(f"{self.path}: data/{name}: damaged ({error}). {REMEDY}") from error
 
 
 def import_demos(config: RobomimicConfig, console: Console | None = None) -> Demos:
@@ -123,34 +128,44 @@ def import_demos(config: RobomimicConfig, console: Console | None = None) -> Dem
             )
 
 
+def task_of(path: Path) -> str:
+    """Our task of a robomimic file; one that the import refuses with the reason if there is none.
+
+    Raises:
+        DatasetError: The file cannot be read.
+    """
+    with open_hdf5(path, remedy=REMEDY) as file, whole(path, REMEDY):
+        name, _ = _environment(path, file)
+    return ENVIRONMENTS.get(name, RobomimicConfig.task)
+
+
 @contextlib.contextmanager
-def _source(config: RobomimicConfig) -> Iterator[Source]:
+def _source(config: RobomimicConfig) -> Iterator[DemonstrationFile]:
     path = Path(config.file)
-    if not path.is_file():
-        raise DatasetError(f"{path}: no such file.")
-    try:
-        with h5py.File(path, "r") as file:
-            yield _read_source(path, file, config)
-    except JaxcamError:
-        raise
-    except (OSError, RuntimeError) as error:  # HDF5's library reports damage in both ways
-        raise DatasetError(
-            f"{path}: not an HDF5 file, or damaged or truncated ({path.stat().st_size} bytes; "
-            f"{error}). Download it again."
-        ) from error
+    with open_hdf5(path, remedy=REMEDY) as file:
+        with whole(path, REMEDY):
+            source = _read_source(path, file, config)
+        yield source
 
 
-def _read_source(path: Path, file: h5py.File, config: RobomimicConfig) -> Source:
+def _environment(path: Path, file: h5py.File) -> tuple[str, dict[str, Any]]:
+    """Name of the environment that a file was recorded in, and what env_args says of it."""
     data: Any = file.get("data")
     try:
         env = json.loads(data.attrs["env_args"])
-        name, settings = str(env["env_name"]), dict(env.get("env_kwargs", {}))
+        name, _ = str(env["env_name"]), dict(env.get("env_kwargs", {}))
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise DatasetError(
             f"{path}: not in robomimic's layout: no attribute env_args (JSON) on group data; found "
             f"{sorted(file)}. robosuite's own recordings are turned into it by robomimic's "
             "convert_robosuite.py."
         ) from error
+    return name, env
+
+
+def _read_source(path: Path, file: h5py.File, config: RobomimicConfig) -> DemonstrationFile:
+    name, env = _environment(path, file)
+    settings = dict(env.get("env_kwargs", {}))
     _check_environment(path, name, settings, config.task)
     controller = None
     if config.actions == "commands":
@@ -161,7 +176,7 @@ def _read_source(path: Path, file: h5py.File, config: RobomimicConfig) -> Source
     train, valid = _split(path, file, config)
     version = env.get("env_version", "of unknown version")
     about = f"{path.name}: {name} of robosuite {version}, {config.actions}"
-    return Source(path, file, controller, train, valid, about)
+    return DemonstrationFile(path, file, controller, train, valid, about)
 
 
 def _check_environment(path: Path, name: str, settings: dict[str, Any], task: str) -> None:

@@ -31,9 +31,9 @@ LAYOUT = {
 KILLED = """
 import os, signal, sys
 import h5py
-from jaxcam.collect import collect
-from jaxcam.config import CollectConfig
-from jaxcam.demo_writer import DemoWriter
+from jaxcam.config.datasets import CollectConfig
+from jaxcam.data.collection import collect
+from jaxcam.data.writer import DemoWriter
 append, create, count = DemoWriter.append, h5py.Group.create_dataset, 0
 def count_and_append(self, index, demo):
     global count

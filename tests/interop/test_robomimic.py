@@ -285,7 +285,7 @@ def test_files_that_are_none(tmp_path, files):
     with pytest.raises(DatasetError, match="no such file"):
         imported(path)
     path.write_bytes(b"<html>not found</html>")
-    with pytest.raises(DatasetError, match="not an HDF5 file, or damaged"):
+    with pytest.raises(DatasetError, match="not an HDF5 file; it starts with"):
         imported(path)
     path.write_bytes(files["1.5"].read_bytes()[:20_000])
     with pytest.raises(DatasetError, match=r"damaged or truncated \(20000 bytes"):
