@@ -33,7 +33,7 @@ POSE = ("x", "y", "z", "rx", "ry", "rz")
 JOINTS = tuple(f"joint_{i}" for i in range(1, 8))
 
 
-def export(config: LerobotConfig, console: Console | None = None) -> Path:
+def export_dataset(config: LerobotConfig, console: Console | None = None) -> Path:
     """Writes a dataset's training (or validation) demonstrations as a LeRobot dataset.
 
     Args:
@@ -159,7 +159,7 @@ def _pictures(data: Dataset, demo: int) -> dict[str, np.ndarray]:
 
 def main(config: LerobotConfig, console: Console) -> None:
     """Runs the command."""
-    out = export(config, console)
+    out = export_dataset(config, console)
     console.print(f"{out}: a LeRobot {VERSION} dataset. Read it with:")
     read = f"LeRobotDataset({out.name!r}, root={str(out)!r})"
     console.print(f"  {read}", soft_wrap=True, markup=False, highlight=False)

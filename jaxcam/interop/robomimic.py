@@ -197,25 +197,17 @@ def _check_environment(path: Path, name: str, settings: dict[str, Any], task: st
 
 def _split(path: Path, file: h5py.File, config: RobomimicConfig) -> tuple[list[str], list[str]]:
     """Names of the training and of the validation demonstrations."""
-    data: Any = file["data"]
+    names = _numbered(file)
+    if config.filter_key is not None:
+        members = _members(path, file, config.filter_key)
+        names = [n for n in names if n in members]
     masks: Any = file.get("mask", {})
-    key = config.filter_key
-
-    def members(mask: str) -> set[str]:
-        return {n.decode() if isinstance(n, bytes) else str(n) for n in masks[mask][:]}
-
-    if key is not None and key not in masks:
-        raise DatasetError(f"{path}: no filter key {key!r}{closest(key, masks)}")
-    names = [n for n in data if n.removeprefix("demo_").isdigit()]
-    names = sorted(names, key=lambda n: int(n.removeprefix("demo_")))
-    if key is not None:
-        names = [n for n in names if n in members(key)]
-    held = config.validation
-    if held is None and "valid" in masks:
-        valid = [n for n in names if n in members("valid")]
+    if config.validation is None and "valid" in masks:
+        members = _members(path, file, "valid")
+        valid = [n for n in names if n in members]
     else:
-        count = len(names) // 10 if held is None else held
-        valid = names[len(names) - count :] if count <= len(names) else names
+        count = len(names) // 10 if config.validation is None else config.validation
+        valid = names[max(len(names) - count, 0) :]
     train = [n for n in names if n not in valid]
     if not train:
         raise DatasetError(
@@ -223,6 +215,21 @@ def _split(path: Path, file: h5py.File, config: RobomimicConfig) -> tuple[list[s
             "left to train on. Choose another --filter-key or a smaller --validation."
         )
     return train, valid
+
+
+def _numbered(file: h5py.File) -> list[str]:
+    """Names of the file's demonstrations, by their number."""
+    data: Any = file["data"]
+    names = [name for name in data if name.removeprefix("demo_").isdigit()]
+    return sorted(names, key=lambda name: int(name.removeprefix("demo_")))
+
+
+def _members(path: Path, file: h5py.File, mask: str) -> set[str]:
+    """Names of the demonstrations that an entry of the file's `mask` lists."""
+    masks: Any = file.get("mask", {})
+    if mask not in masks:
+        raise DatasetError(f"{path}: no filter key {mask!r}{closest(mask, masks)}")
+    return {n.decode() if isinstance(n, bytes) else str(n) for n in masks[mask][:]}
 
 
 def _convert(

@@ -20,7 +20,7 @@ from jaxcam.config.datasets import LerobotConfig
 from jaxcam.data.batches import make_dataset
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.interop import lerobot_format
-from jaxcam.interop.lerobot_dataset import export
+from jaxcam.interop.lerobot_dataset import export_dataset
 from jaxcam.interop.lerobot_format import Writer, _column, feature, stats_of, video_feature
 
 PIXELS = 24
@@ -35,7 +35,7 @@ def data(demos, frames, lift):
 @pytest.fixture(scope="module")
 def folder(demos, frames, tmp_path_factory):
     out = tmp_path_factory.mktemp("lerobot") / "out"
-    return export(config(demos, out))
+    return export_dataset(config(demos, out))
 
 
 def config(demos, out, **settings):
@@ -173,7 +173,7 @@ def test_tasks_are_indexed_by_their_words(folder):
 
 def test_validation_joints_and_words(demos, frames, tmp_path):
     out = tmp_path / "valid"
-    export(
+    export_dataset(
         config(
             demos, out, validation=True, action_space="joint_delta", instruction="Lift the cube."
         )
@@ -190,12 +190,12 @@ def test_nothing_is_overwritten_and_the_unfinished_is_made_anew(demos, frames, t
     part = tmp_path / "out.part"
     (part / "data").mkdir(parents=True)
     (part / "data" / "old").write_text("of an export that was killed")
-    export(config(demos, out, validation=True))
+    export_dataset(config(demos, out, validation=True))
     assert not part.exists()
     assert not list(out.rglob("old"))
     before = {p: p.stat().st_mtime_ns for p in out.rglob("*")}
     with pytest.raises(DatasetError, match=r"out exists. Choose another folder"):
-        export(config(demos, out))
+        export_dataset(config(demos, out))
     assert {p: p.stat().st_mtime_ns for p in out.rglob("*")} == before
 
 
@@ -205,7 +205,7 @@ def test_full_disk_is_told_and_leaves_no_dataset(demos, frames, tmp_path, monkey
 
     monkeypatch.setattr(Writer, "finish", full)
     with pytest.raises(DatasetError, match=r"No space left on device. Make room"):
-        export(config(demos, tmp_path / "out", validation=True))
+        export_dataset(config(demos, tmp_path / "out", validation=True))
     assert not (tmp_path / "out").exists()
 
 
@@ -248,7 +248,7 @@ def test_without_validation_demonstrations(demos, frames, tmp_path, monkeypatch)
         "jaxcam.interop.lerobot_dataset.read_demos", lambda _: replace(demos, valid=[])
     )
     with pytest.raises(DatasetError, match="no validation demonstrations"):
-        export(config(demos, tmp_path / "out", validation=True))
+        export_dataset(config(demos, tmp_path / "out", validation=True))
 
 
 def without_pyarrow(*args):
