@@ -10,7 +10,7 @@ import numpy as np
 from jaxcam.checks.findings import Finding, some
 from jaxcam.checks.overlays import PIXELS, Moment, chosen, draw, draw_over, moments, sheet
 from jaxcam.data.demos import Demos
-from jaxcam.data.pictures import Frames, is_blank, open_frames
+from jaxcam.data.pictures import Pictures, is_blank, open_pictures
 from jaxcam.errors import JaxcamError
 from jaxcam.rays import spherical
 from jaxcam.sim.task import Task
@@ -63,7 +63,7 @@ def check_caches(demos: Demos, task: Task, scene: World, count: int) -> Iterator
             )
             continue
         try:
-            frames = open_frames(path, demos, int(side))
+            frames = open_pictures(path, demos, int(side))
         except JaxcamError as error:
             yield Finding(what, "bad", str(error), where=path.name)
             continue
@@ -95,17 +95,17 @@ def draw_overlays(demos: Demos, task: Task, scene: World, count: int) -> np.ndar
     return sheet(list(pictures), captions)
 
 
-def _blank(what: str, path: Path, frames: Frames) -> Finding:
+def _blank(what: str, path: Path, frames: Pictures) -> Finding:
     """Whether pictures are of one colour, or demonstrations stand still."""
     first, cameras = frames.layout.first, frames.layout.cameras
     rows = _some_drawn(frames, SCANNED)
-    blank = [int(row) for row in rows if is_blank(frames.pictures[row])]
+    blank = [int(row) for row in rows if is_blank(frames.rgb[row])]
     frozen = [
         i
         for i, (a, b) in enumerate(pairwise(first))
         if b - a > cameras[i]
         and frames.drawn[[a, b - cameras[i]]].all()
-        and np.array_equal(frames.pictures[a], frames.pictures[b - cameras[i]])
+        and np.array_equal(frames.rgb[a], frames.rgb[b - cameras[i]])
     ]
     if not blank and not frozen:
         total, drawn = len(frames.drawn), frames.drawn.sum()
@@ -124,12 +124,12 @@ def _blank(what: str, path: Path, frames: Frames) -> Finding:
 
 
 def _compared(
-    what: str, path: Path, frames: Frames, demos: Demos, task: Task, scene: World, count: int
+    what: str, path: Path, frames: Pictures, demos: Demos, task: Task, scene: World, count: int
 ) -> Finding:
     rows = _some_drawn(frames, count)
     shown = list(map(Moment, *(part.tolist() for part in frames.layout.where(rows))))
-    ours = draw(demos, shown, scene.painter(frames.pictures.shape[1], varied=task.varied))
-    theirs = frames.pictures[rows]
+    ours = draw(demos, shown, scene.painter(frames.rgb.shape[1], varied=task.varied))
+    theirs = frames.rgb[rows]
     apart = _apart(ours, theirs)
     if apart.max() <= ALIKE:
         return Finding(what, "good", f"{len(ours)} drawn anew are the same")
@@ -147,7 +147,7 @@ def _compared(
     )
 
 
-def _some_drawn(frames: Frames, count: int) -> np.ndarray:
+def _some_drawn(frames: Pictures, count: int) -> np.ndarray:
     """Numbers of frames that are drawn, evenly spread."""
     drawn = np.flatnonzero(frames.drawn)
     return drawn[chosen(len(drawn), count)]

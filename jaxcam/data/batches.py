@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from jaxcam.data.demos import Demo, Demos
-from jaxcam.data.pictures import Frames, intrinsics
+from jaxcam.data.pictures import Pictures, intrinsics
 from jaxcam.data.samples import Samples, history
 from jaxcam.rays import invert
 from jaxcam.sim.actions import demo_actions
@@ -31,7 +31,7 @@ STD_FLOOR = 1e-4
 class Dataset:
     """Demonstrations as the arrays that batches are cut from."""
 
-    frames: Frames = field(repr=False)
+    pictures: Pictures = field(repr=False)
     K: np.ndarray
     """Intrinsics of every picture [3, 3]."""
     base_from_camera: np.ndarray = field(repr=False)
@@ -52,12 +52,12 @@ class Dataset:
     @property
     def lengths(self) -> np.ndarray:
         """Control steps of each demonstration [D]."""
-        return self.frames.layout.lengths
+        return self.pictures.layout.lengths
 
     @property
     def samples(self) -> Samples:
         """Which of its samples a run takes."""
-        return Samples(self.frames.layout, self.train)
+        return Samples(self.pictures.layout, self.train)
 
     def stats(self) -> dict[str, np.ndarray]:
         """Statistics of the training demonstrations, float32; population std as the authors'."""
@@ -85,11 +85,11 @@ class Dataset:
         is_pad = (steps < 0) | (steps >= self.lengths[demo][:, None])
         where = demo[:, None], np.clip(steps, 0, self.actions.shape[1] - 1)
         seen = history(t, obs_steps)
-        rows = self.frames.layout.at(demo[:, None, None], seen[..., None], views[:, None])
+        rows = self.pictures.layout.at(demo[:, None, None], seen[..., None], views[:, None])
         cameras = np.stack([self.windows[d][v] for d, v in zip(demo, views, strict=True)])
         poses = np.broadcast_to(self.base_from_camera[cameras][:, None], (*rows.shape, 4, 4))
         observed = {
-            "image": self.frames.pictures[rows],
+            "image": self.pictures.rgb[rows],
             "K": np.broadcast_to(self.K, (*rows.shape, 3, 3)).astype(np.float32),
             "base_from_camera": poses,
             "proprio": self.proprio[demo[:, None], seen],
@@ -110,7 +110,7 @@ class Dataset:
 
 def make_dataset(
     demos: Demos,
-    frames: Frames,
+    pictures: Pictures,
     space: str,
     scene: World,
 ) -> Dataset:
@@ -118,11 +118,11 @@ def make_dataset(
 
     Args:
         demos: the dataset.
-        frames: its pictures.
+        pictures: of it.
         space: of the actions.
         scene: where the demonstrations were given.
     """
-    longest = int(frames.layout.lengths.max())
+    longest = int(pictures.layout.lengths.max())
     actions, keyframes, proprio = [], [], []
     for demo in demos.episodes:
         moves = demo_actions(demo, space, scene)
@@ -131,9 +131,9 @@ def make_dataset(
         actions.append(np.pad(moves, pad))
         keyframes.append(np.pad(_keyframes(demo, scene), pad))
         proprio.append(np.pad(state, pad))
-    pixels = frames.pictures.shape[1]
+    pixels = pictures.rgb.shape[1]
     return Dataset(
-        frames=frames,
+        pictures=pictures,
         K=intrinsics(demos.header.fovy_deg, pixels),
         base_from_camera=(invert(scene.world_from_base) @ demos.header.world_from_camera).astype(
             np.float32

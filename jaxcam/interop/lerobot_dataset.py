@@ -2,7 +2,7 @@
 
 Written with pyarrow and PyAV, so LeRobot and its PyTorch need not be installed; LeRobot's own
 loader reads the folder (`tests/golden/check_lerobot.py`). Beside what every LeRobot dataset has
-(`observation.state`, `action`, a video a view) each frame carries, for each view,
+(`observation.state`, `action`, a video a view) each row carries, for each view,
 `camera.<view>.base_from_camera` (OpenCV axes) and `camera.<view>.intrinsics` (pixels), and
 `meta/jaxcam.json` tells the conventions. They are no `observation.*`, since LeRobot would take
 those for robot states and normalise every number of a pose by itself.
@@ -21,7 +21,7 @@ from jaxcam.config.datasets import LerobotConfig
 from jaxcam.console.progress import progress
 from jaxcam.data.batches import Dataset, make_dataset
 from jaxcam.data.demos import Demos, read_demos
-from jaxcam.data.pictures import load_frames
+from jaxcam.data.pictures import load_pictures
 from jaxcam.errors import DatasetError
 from jaxcam.files.locks import exclusive
 from jaxcam.interop.lerobot_format import VERSION, Writer, feature, video_feature, write_json
@@ -55,8 +55,8 @@ def export_dataset(config: LerobotConfig, console: Console | None = None) -> Pat
         raise DatasetError(f"{demos.path}: no validation demonstrations to export.")
     _refuse_existing(out)
     scene = demos.world
-    frames = load_frames(demos, config.resolution, console)
-    data = make_dataset(demos, frames, config.action_space, scene)
+    pictures = load_pictures(demos, config.resolution, console)
+    data = make_dataset(demos, pictures, config.action_space, scene)
     part = out.with_name(out.name + ".part")
     with exclusive(out, console):
         _refuse_existing(out)
@@ -150,11 +150,11 @@ def _rows(data: Dataset, demo: int, views: list[str]) -> dict[str, np.ndarray]:
 
 
 def _pictures(data: Dataset, demo: int) -> dict[str, np.ndarray]:
-    """One demonstration's frames, uint8 [T, H, W, 3] by video."""
+    """One demonstration's pictures, uint8 [T, H, W, 3] by video."""
     t = np.arange(data.lengths[demo])
-    views, at = range(len(data.windows[demo])), data.frames.layout.at
+    views, at = range(len(data.windows[demo])), data.pictures.layout.at
     rows = [at(np.array(demo), t, np.array(v)) for v in views]
-    return {f"observation.images.view_{v}": data.frames.pictures[r] for v, r in enumerate(rows)}
+    return {f"observation.images.view_{v}": data.pictures.rgb[r] for v, r in enumerate(rows)}
 
 
 def main(config: LerobotConfig, console: Console) -> None:

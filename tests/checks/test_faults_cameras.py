@@ -7,7 +7,7 @@ import pytest
 
 from jaxcam.checks.cameras import check_cameras, check_poses, require_possible
 from jaxcam.checks.held_out import check_field_of_view, check_held_out, check_ranges
-from jaxcam.data.pictures import load_frames
+from jaxcam.data.pictures import load_pictures
 from jaxcam.errors import CameraError
 from jaxcam.rays import POSE_RANGES, invert, opengl_from_opencv, sample_poses
 from jaxcam.rays.rotations import matrix_from_quaternion, quaternion_from_matrix
@@ -93,7 +93,7 @@ def test_nothing_is_rendered_for_impossible_cameras(demos, tmp_path):
     poses = opengl_from_opencv(demos.header.world_from_camera)
     spoilt = replace(with_poses(demos, poses), path=tmp_path / "spoilt.hdf5")
     with pytest.raises(CameraError, match="OpenGL"):
-        load_frames(spoilt, 24)
+        load_pictures(spoilt, 24)
     assert not list(tmp_path.iterdir())
 
 

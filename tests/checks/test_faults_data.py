@@ -13,9 +13,9 @@ from conftest import PIXELS
 from jaxcam.checks.dataset import check_physics
 from jaxcam.checks.examine import check_dataset
 from jaxcam.checks.pictures import check_caches
-from jaxcam.data import pictures as frames_module
+from jaxcam.data import pictures as pictures_module
 from jaxcam.data.demos import read_demos
-from jaxcam.data.pictures import load_frames
+from jaxcam.data.pictures import load_pictures
 from jaxcam.errors import DatasetError, SimError
 from jaxcam.rays._checks import ROTATION_TOLERANCE
 from jaxcam.sim import make_task
@@ -256,7 +256,7 @@ def test_a_grip_that_is_not_where_the_joints_put_it(copy):
 
 
 @pytest.fixture
-def cached(demos, frames, tmp_path):
+def cached(demos, pictures, tmp_path):
     """The dataset and its pictures in a folder of their own, and those pictures to be changed."""
     path = tmp_path / demos.path.name
     shutil.copy(demos.path, path)
@@ -297,7 +297,7 @@ def test_pictures_that_show_something_else(cached, pictures_of, change, cause):
 
 def test_blank_and_frozen_pictures(cached, pictures_of):
     demos, cache, pictures = cached
-    _, second, third = load_frames(demos, PIXELS).layout.first[:3]
+    _, second, third = load_pictures(demos, PIXELS).layout.first[:3]
     pictures[0] = 0
     pictures[second:third] = pictures[second]
     pictures.flush()
@@ -350,7 +350,7 @@ def test_a_cache_that_is_not_what_was_written_is_refused(cached, change, words):
     demos, cache, pictures = cached
     change(cache, np.array(pictures))
     with pytest.raises(DatasetError, match=words) as error:
-        load_frames(demos, PIXELS)
+        load_pictures(demos, PIXELS)
     assert f"{cache}: " in str(error.value)
     assert "Delete the file; they are drawn anew" in str(error.value)
 
@@ -372,18 +372,18 @@ class Blackout:
         REAL.cache_clear()
 
 
-REAL = frames_module._renderer
+REAL = pictures_module._renderer
 
 
-def test_black_pictures_are_drawn_by_another_renderer_once(demos, frames, tmp_path, monkeypatch):
+def test_black_pictures_are_drawn_by_another_renderer_once(demos, pictures, tmp_path, monkeypatch):
     elsewhere = replace(demos, path=tmp_path / demos.path.name)
-    monkeypatch.setattr(frames_module, "_renderer", Blackout(1))
-    np.testing.assert_array_equal(load_frames(elsewhere, PIXELS).pictures, frames.pictures)
+    monkeypatch.setattr(pictures_module, "_renderer", Blackout(1))
+    np.testing.assert_array_equal(load_pictures(elsewhere, PIXELS).rgb, pictures.rgb)
 
 
 def test_pictures_that_stay_black_are_refused(demos, tmp_path, monkeypatch):
     elsewhere = replace(demos, path=tmp_path / demos.path.name)
-    monkeypatch.setattr(frames_module, "_renderer", Blackout(2))
+    monkeypatch.setattr(pictures_module, "_renderer", Blackout(2))
     with pytest.raises(SimError, match="of one colour, and again with another renderer"):
-        load_frames(elsewhere, PIXELS)
+        load_pictures(elsewhere, PIXELS)
     assert not list((tmp_path / "frames").glob("*.npy"))

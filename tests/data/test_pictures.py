@@ -1,4 +1,4 @@
-"""The frame cache: made once, resumed, and the picture at an index is the one it names."""
+"""The cache of pictures: made once, resumed, and the picture at an index is the one it names."""
 
 import shutil
 from collections import namedtuple
@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from conftest import PIXELS
 
-from jaxcam.data import pictures as frames_module
-from jaxcam.data.pictures import intrinsics, load_frames
+from jaxcam.data import pictures as pictures_module
+from jaxcam.data.pictures import intrinsics, load_pictures
 from jaxcam.errors import DatasetError
 from jaxcam.rays import Camera
 from jaxcam.sim.mujoco.render import Renderer, View
@@ -29,9 +29,9 @@ def pictures_in(demos):
     return sorted(p.name for p in folder.iterdir() if p.suffix != ".lock")
 
 
-def test_cached_pictures_are_fresh_renders_of_state_and_camera(demos, frames, renderer):
+def test_cached_pictures_are_fresh_renders_of_state_and_camera(demos, pictures, renderer):
     every = demos.episodes
-    assert len(frames.pictures) == sum(d.length * len(d.cameras) for d in every)
+    assert len(pictures.rgb) == sum(d.length * len(d.cameras) for d in every)
     rng = np.random.default_rng(0)
     seen = set()
     for i, demo in enumerate(every):
@@ -44,31 +44,31 @@ def test_cached_pictures_are_fresh_renders_of_state_and_camera(demos, frames, re
                 intrinsics(45, PIXELS)[None],
                 demos.header.world_from_camera[demo.cameras[c_]][None],
             )
-            row = frames.layout.at(np.array(i), np.array(t_), np.array(c_))
-            np.testing.assert_array_equal(frames.pictures[row], renderer.rgb(view)[0])
+            row = pictures.layout.at(np.array(i), np.array(t_), np.array(c_))
+            np.testing.assert_array_equal(pictures.rgb[row], renderer.rgb(view)[0])
             seen.add(int(row))
-    assert {0, len(frames.pictures) - 1} <= seen
+    assert {0, len(pictures.rgb) - 1} <= seen
 
 
-def test_every_frame_has_one_place(demos, frames):
+def test_every_picture_has_one_place(demos, pictures):
     rows = [
-        frames.layout.at(np.array(i), np.array(t), np.array(c))
+        pictures.layout.at(np.array(i), np.array(t), np.array(c))
         for i, d in enumerate(demos.episodes)
         for t in range(d.length)
         for c in range(len(d.cameras))
     ]
-    assert [int(r) for r in rows] == list(range(len(frames.pictures)))
+    assert [int(r) for r in rows] == list(range(len(pictures.rgb)))
 
 
-def test_a_second_load_renders_nothing(demos, frames, monkeypatch):
-    monkeypatch.setattr(frames_module, "_draw", None)
-    again = load_frames(demos, PIXELS)
-    np.testing.assert_array_equal(again.pictures, frames.pictures)
-    assert not again.pictures.flags.writeable
+def test_a_second_load_renders_nothing(demos, pictures, monkeypatch):
+    monkeypatch.setattr(pictures_module, "_draw", None)
+    again = load_pictures(demos, PIXELS)
+    np.testing.assert_array_equal(again.rgb, pictures.rgb)
+    assert not again.rgb.flags.writeable
 
 
-def test_an_interrupted_rendering_ends_as_an_uninterrupted_one(elsewhere, frames, monkeypatch):
-    draw, rendered = frames_module._draw, []
+def test_an_interrupted_rendering_ends_as_an_uninterrupted_one(elsewhere, pictures, monkeypatch):
+    draw, rendered = pictures_module._draw, []
 
     def dying(*args):
         for pictures in draw(*args):
@@ -77,48 +77,48 @@ def test_an_interrupted_rendering_ends_as_an_uninterrupted_one(elsewhere, frames
                 raise KeyboardInterrupt
             yield pictures
 
-    monkeypatch.setattr(frames_module, "_draw", dying)
+    monkeypatch.setattr(pictures_module, "_draw", dying)
     with pytest.raises(KeyboardInterrupt):
-        load_frames(elsewhere, PIXELS)
+        load_pictures(elsewhere, PIXELS)
     assert not any(name.endswith(".npy") for name in pictures_in(elsewhere))
-    resumed = load_frames(elsewhere, PIXELS)
-    np.testing.assert_array_equal(resumed.pictures, frames.pictures)
+    resumed = load_pictures(elsewhere, PIXELS)
+    np.testing.assert_array_equal(resumed.rgb, pictures.rgb)
     assert len(rendered) == 3 + 4  # two were kept, the third is rendered again
     assert [name.rsplit(".", 1)[1] for name in pictures_in(elsewhere)] == ["npy"]
 
 
-def test_one_process_a_core_renders_the_same(elsewhere, frames, monkeypatch):
-    monkeypatch.setattr(frames_module, "GROUPS_PER_WORKER", 1)
-    monkeypatch.setattr(frames_module.os, "cpu_count", lambda: 2)
-    np.testing.assert_array_equal(load_frames(elsewhere, PIXELS).pictures, frames.pictures)
+def test_one_process_a_core_renders_the_same(elsewhere, pictures, monkeypatch):
+    monkeypatch.setattr(pictures_module, "GROUPS_PER_WORKER", 1)
+    monkeypatch.setattr(pictures_module.os, "cpu_count", lambda: 2)
+    np.testing.assert_array_equal(load_pictures(elsewhere, PIXELS).rgb, pictures.rgb)
 
 
-def test_only_what_is_wanted_is_drawn(elsewhere, frames, monkeypatch):
-    draw, drawn = frames_module._draw, []
+def test_only_what_is_wanted_is_drawn(elsewhere, pictures, monkeypatch):
+    draw, drawn = pictures_module._draw, []
 
     def counting(*args):
         for pictures in draw(*args):
             drawn.append(len(pictures))
             yield pictures
 
-    monkeypatch.setattr(frames_module, "_draw", counting)
-    wanted = np.random.default_rng(0).random(frames.layout.total) < 0.2
-    some = load_frames(elsewhere, PIXELS, wanted=wanted)
-    np.testing.assert_array_equal(some.pictures[wanted], frames.pictures[wanted])
-    assert not some.pictures[~wanted].any()
+    monkeypatch.setattr(pictures_module, "_draw", counting)
+    wanted = np.random.default_rng(0).random(pictures.layout.total) < 0.2
+    some = load_pictures(elsewhere, PIXELS, wanted=wanted)
+    np.testing.assert_array_equal(some.rgb[wanted], pictures.rgb[wanted])
+    assert not some.rgb[~wanted].any()
     assert sum(drawn) == wanted.sum()
-    load_frames(elsewhere, PIXELS, wanted=wanted)
+    load_pictures(elsewhere, PIXELS, wanted=wanted)
     assert sum(drawn) == wanted.sum()
     wanted[[0, -1]] = True
-    more = load_frames(elsewhere, PIXELS, wanted=wanted)
-    np.testing.assert_array_equal(more.pictures[wanted], frames.pictures[wanted])
+    more = load_pictures(elsewhere, PIXELS, wanted=wanted)
+    np.testing.assert_array_equal(more.rgb[wanted], pictures.rgb[wanted])
     assert sum(drawn) == wanted.sum()
     assert not any(name.endswith(".npy") for name in pictures_in(elsewhere))
-    every = load_frames(elsewhere, PIXELS)
-    np.testing.assert_array_equal(every.pictures, frames.pictures)
-    assert sum(drawn) == frames.layout.total
+    every = load_pictures(elsewhere, PIXELS)
+    np.testing.assert_array_equal(every.rgb, pictures.rgb)
+    assert sum(drawn) == pictures.layout.total
     assert [name.rsplit(".", 1)[1] for name in pictures_in(elsewhere)] == ["npy"]
-    np.testing.assert_array_equal(some.pictures, frames.pictures)  # the same file, still open
+    np.testing.assert_array_equal(some.rgb, pictures.rgb)  # the same file, still open
 
 
 def test_no_room_on_the_disk(elsewhere, monkeypatch):
@@ -127,12 +127,12 @@ def test_no_room_on_the_disk(elsewhere, monkeypatch):
         with pytest.raises(
             DatasetError, match=r"pictures need .* GB.*--data-dir or a smaller --res"
         ):
-            load_frames(elsewhere, PIXELS)
+            load_pictures(elsewhere, PIXELS)
     assert pictures_in(elsewhere) == []
 
 
-def test_a_disk_that_fills_up_keeps_what_is_done(elsewhere, frames, monkeypatch):
-    write = frames_module._Part.write
+def test_a_disk_that_fills_up_keeps_what_is_done(elsewhere, pictures, monkeypatch):
+    write = pictures_module._Part.write
 
     def full(self, rows, pictures):
         if self.drawn[: rows[0]].all() and rows[0] > len(self.drawn) // 2:
@@ -140,16 +140,16 @@ def test_a_disk_that_fills_up_keeps_what_is_done(elsewhere, frames, monkeypatch)
         write(self, rows, pictures)
 
     with monkeypatch.context() as patch:
-        patch.setattr(frames_module._Part, "write", full)
+        patch.setattr(pictures_module._Part, "write", full)
         with pytest.raises(DatasetError, match="What is rendered is kept"):
-            load_frames(elsewhere, PIXELS)
-    np.testing.assert_array_equal(load_frames(elsewhere, PIXELS).pictures, frames.pictures)
+            load_pictures(elsewhere, PIXELS)
+    np.testing.assert_array_equal(load_pictures(elsewhere, PIXELS).rgb, pictures.rgb)
 
 
-def test_other_pictures_have_another_cache(demos, frames):
+def test_other_pictures_have_another_cache(demos, pictures):
     before = set(pictures_in(demos))
-    small = load_frames(demos, 16)
-    assert small.pictures.shape[1:] == (16, 16, 3)
+    small = load_pictures(demos, 16)
+    assert small.rgb.shape[1:] == (16, 16, 3)
     (name,) = set(pictures_in(demos)) - before
     for part in (demos.fingerprint, "-16px-", Renderer.identity()):
         assert part in name

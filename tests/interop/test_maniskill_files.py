@@ -16,7 +16,7 @@ from jaxcam.checks.examine import examine
 from jaxcam.config.datasets import ManiskillConfig
 from jaxcam.data.collection import FIRST_SEED
 from jaxcam.data.demos import read_demos
-from jaxcam.data.pictures import load_frames
+from jaxcam.data.pictures import load_pictures
 from jaxcam.errors import DatasetError
 from jaxcam.interop.formats import recognise
 from jaxcam.interop.importing import succeeds
@@ -106,12 +106,12 @@ def test_pictures_are_rendered_from_recorded_states(recorded, tmp_path):
     """One from each camera of the schedule, the cube where the states say it is."""
     demos = imported(recorded, "push", tmp_path / "out.hdf5").demos
     side, demo = 48, demos.train[0]
-    frames = load_frames(demos, side)
+    pictures = load_pictures(demos, side)
     camera = Camera.from_fovy(np.deg2rad(demos.header.fovy_deg), side, side, np.eye(4))
     found = []
     for row in (np.array(0), np.array(demo.length - 1)):
         for slot, pose in enumerate(demos.header.world_from_camera[demo.cameras]):
-            picture = frames.pictures[frames.layout.at(0, row, slot)].astype(int)
+            picture = pictures.rgb[pictures.layout.at(0, row, slot)].astype(int)
             blue = picture[..., 2] - picture[..., :2].max(-1) > 60
             uv, _ = replace(camera, world_from_camera=pose).project(demo.states[row, 10:13])
             if blue.sum() > 8 and (abs(uv - side / 2) < side / 2 - 6).all():

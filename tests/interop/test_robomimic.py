@@ -16,7 +16,7 @@ from jaxcam.checks.examine import examine
 from jaxcam.config.datasets import RobomimicConfig
 from jaxcam.config.train import TrainConfig
 from jaxcam.data.demos import starts_of
-from jaxcam.data.pictures import Frames
+from jaxcam.data.pictures import Pictures
 from jaxcam.data.samples import Layout
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.interop.robomimic import import_demos, success_of
@@ -334,8 +334,8 @@ def test_training_takes_a_dataset_and_its_numbers(tmp_path, files, monkeypatch):
     assert (like.demos, like.validation, like.n, like.m) == (1, 1, 2, 2)
     layout = Layout.of(demos)
     total = layout.total
-    black = Frames(np.zeros((total, 16, 16, 3), np.uint8), layout, np.ones(total, bool))
-    monkeypatch.setattr("jaxcam.data.pictures.load_frames", lambda *_: black)
+    black = Pictures(np.zeros((total, 16, 16, 3), np.uint8), layout, np.ones(total, bool))
+    monkeypatch.setattr("jaxcam.pipeline.load_pictures", lambda *_: black)
     data = _dataset([resolve(like)], None)
     assert data.lengths.tolist() == [d.length for d in demos.episodes]
     assert [len(w) for w in data.windows] == [2, 1]
