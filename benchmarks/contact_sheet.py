@@ -14,6 +14,7 @@ import numpy as np
 
 from jaxcam.data.collection import run_expert
 from jaxcam.data.pictures import intrinsics
+from jaxcam.data.splits import SPLITS
 from jaxcam.rays import sample_poses
 from jaxcam.sim import make_task
 from jaxcam.sim.mujoco.native import NativeEngine
@@ -22,7 +23,7 @@ from jaxcam.sim.mujoco.scene import SCENES
 from jaxcam.sim.task import Task, starts
 
 COLUMNS, TILE, GAP = 6, 184, 6
-TEST_CAMERAS, FIRST_EPISODE = 23, 7
+TEST_CAMERAS, FIRST_EPISODE = SPLITS["test"].cameras, 7
 TASKS = ("lift", "pick_place_can", "square")
 
 

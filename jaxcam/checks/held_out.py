@@ -5,7 +5,7 @@ from scipy.spatial import KDTree
 
 from jaxcam.checks.findings import Finding, some
 from jaxcam.data.demos import Demos
-from jaxcam.data.pairs import SPLITS
+from jaxcam.data.splits import SPLITS
 from jaxcam.rays import sample_poses, spherical
 
 HELD_OUT = 1000

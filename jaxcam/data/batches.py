@@ -117,10 +117,10 @@ def make_dataset(
     """Turns demonstrations into arrays, their commands into actions of a space.
 
     Args:
-        demos: the dataset.
-        pictures: of it.
-        space: of the actions.
-        scene: where the demonstrations were given.
+        demos: The dataset.
+        pictures: Of it.
+        space: Of the actions.
+        scene: Where the demonstrations were given.
     """
     longest = int(pictures.layout.lengths.max())
     actions, keyframes, proprio = [], [], []
@@ -171,13 +171,13 @@ def stacked_batches(
     A thread reads ahead; it only makes what `index` names.
 
     Args:
-        dataset: where samples come from.
-        seed: of the order.
-        first: step to begin with.
-        last: step to stop before.
-        per_call: steps stacked on the first axis.
-        batch: samples a step, of all shards.
-        shard: which of how many equal shards is read.
+        dataset: Where samples come from.
+        seed: Of the order.
+        first: Step to begin with.
+        last: Step to stop before.
+        per_call: Steps stacked on the first axis.
+        batch: Samples a step, of all shards.
+        shard: Which of how many equal shards is read.
         **sizes: `views`, `chunk` and, if there are several, `obs_steps`.
     """
     views, chunk, obs_steps = sizes["views"], sizes["chunk"], sizes.get("obs_steps", 1)

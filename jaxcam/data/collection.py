@@ -11,6 +11,7 @@ from jaxcam.config.datasets import CollectConfig
 from jaxcam.console.progress import progress
 from jaxcam.data.demos import Demo, Demos, Header, read_demos
 from jaxcam.data.replay import replay_all
+from jaxcam.data.splits import TRAIN_CAMERAS, VALIDATION_CAMERAS, episode_seeds
 from jaxcam.data.writer import DemoWriter
 from jaxcam.errors import SimError
 from jaxcam.files.locks import exclusive
@@ -22,16 +23,8 @@ from jaxcam.sim.engine import Command, Engine, Start, State
 from jaxcam.sim.task import Aim, Sight, Task, starts
 from jaxcam.sim.world import World
 
-FIRST_SEED = 42
-"""Start of the demonstrations' episode seeds (authors' generators)."""
-SEED_STRIDE, SEEDS = 10_000_000, 900_000
-"""Distance between the episode seeds of two datasets, and how many each has: none ever reaches
-those of the evaluation's pairs (`jaxcam.data.pairs.SPLITS`)."""
-TRAIN_CAMERAS = 1
-"""Seed of the training cameras: with robosuite's ranges, the authors' released set."""
-VALIDATION_CAMERAS = 3
-"""Seed of the validation demonstrations' cameras."""
 BATCH = 50
+"""Episodes that are run side by side."""
 LEAST_SUCCESS = 0.9
 """Share of episodes worth keeping below which something is broken and collection stops."""
 
@@ -47,8 +40,8 @@ def collect(config: CollectConfig, console: Console | None = None) -> Demos:
     """Collects what is missing of a dataset and reads it.
 
     Args:
-        config: what to collect.
-        console: for progress; silent when None.
+        config: What to collect.
+        console: For progress; silent when None.
 
     Returns:
         The complete dataset. An existing file is read and checked, an unfinished one continued.
@@ -140,12 +133,6 @@ def _unsteady(demos: list[Demo], task: Task, scene: World) -> list[int]:
         return []
     holds = np.all(list(replay_all(demos, task, scene).values()), 0)
     return [demo.seed for demo, held in zip(demos, holds, strict=True) if not held]
-
-
-def episode_seeds(seed: int) -> range:
-    """The episode seeds that the dataset of a seed may use."""
-    first = FIRST_SEED + SEED_STRIDE * seed
-    return range(first, first + SEEDS)
 
 
 def run_expert(task: Task, scene: World, engine: Engine, seeds: list[int]) -> list[Demo | None]:

@@ -211,12 +211,12 @@ def read_demos(path: Path, *, task: str | None = None, scene: str | None = None)
     """Reads a complete file.
 
     Args:
-        path: of the HDF5 file.
-        task: expected task; any when None.
-        scene: expected scene; any when None.
+        path: Of the HDF5 file.
+        task: Expected task; any when None.
+        scene: Expected scene; any when None.
 
     Raises:
-        DatasetError: if it is missing, damaged, of another task or scene, or lacks cameras.
+        DatasetError: If it is missing, damaged, of another task or scene, or lacks cameras.
     """
     with _open(path) as file:
         header = _read_header(path, file)
@@ -273,7 +273,7 @@ def faults_of(path: Path) -> list[DatasetError]:
     """All that is wrong with the demonstrations of a file, one error for each that has one.
 
     Raises:
-        DatasetError: if not even its header can be read.
+        DatasetError: If not even its header can be read.
     """
     faults = []
     with _open(path) as file:

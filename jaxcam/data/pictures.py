@@ -61,16 +61,16 @@ def load_pictures(
     """Renders what is missing of a dataset's pictures and opens them.
 
     Args:
-        demos: the dataset; training demonstrations come first, validation ones after.
-        resolution: side of the pictures (pixels).
-        console: for progress; silent when None.
-        wanted: those that will be looked at, bool [pictures]; the others may stay empty. All when
+        demos: The dataset; training demonstrations come first, validation ones after.
+        resolution: Side of the pictures (pixels).
+        console: For progress; silent when None.
+        wanted: Those that will be looked at, bool [pictures]; the others may stay empty. All when
             None.
 
     Raises:
-        CameraError: if the cameras cannot have seen the demonstrations.
-        DatasetError: if the disk has no room for them, or they are damaged.
-        SimError: if pictures come out blank.
+        CameraError: If the cameras cannot have seen the demonstrations.
+        DatasetError: If the disk has no room for them, or they are damaged.
+        SimError: If pictures come out blank.
     """
     require_possible(demos)
     name = f"{demos.path.stem}-{demos.fingerprint}-{resolution}px-{_scene(demos.header).look}.npy"
@@ -87,12 +87,12 @@ def open_pictures(path: Path, demos: Demos, resolution: int) -> Pictures:
     """Opens a cache.
 
     Args:
-        path: of the cache.
-        demos: the dataset whose pictures it holds.
-        resolution: side of the pictures (pixels).
+        path: Of the cache.
+        demos: The dataset whose pictures it holds.
+        resolution: Side of the pictures (pixels).
 
     Raises:
-        DatasetError: if it is not what was written.
+        DatasetError: If it is not what was written.
     """
     layout = Layout.of(demos)
     shape = (layout.total, resolution, resolution, 3)
@@ -239,7 +239,7 @@ class _Part:
         """Makes sure that there is space for `count` more pictures, and begins the cache.
 
         Raises:
-            DatasetError: if the disk has too little.
+            DatasetError: If the disk has too little.
         """
         need, free = count * self._size, shutil.disk_usage(self.path.parent).free
         if free < need * 1.05:

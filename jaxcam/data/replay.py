@@ -40,11 +40,11 @@ def play(
     """Executes demonstrations side by side in one action space.
 
     Args:
-        demos: the demonstrations.
-        space: of the actions.
-        task: whose success counts.
-        scene: of the demonstrations.
-        engine: with the space's controller.
+        demos: The demonstrations.
+        space: Of the actions.
+        task: Whose success counts.
+        scene: Of the demonstrations.
+        engine: With the space's controller.
 
     Returns:
         Whether each succeeded at any step of its own, bool [D], and the way there [T + 1, D, nq].
@@ -79,12 +79,12 @@ def replay_all(
     """Whether each demonstration succeeds in each space, bool [D] by name.
 
     Args:
-        demos: the demonstrations.
-        task: whose success counts.
-        scene: of the demonstrations.
-        spaces: action spaces.
-        engine: name of the physics engine; the one that makes demonstrations when None.
-        tick: called with the number of demonstrations that were replayed.
+        demos: The demonstrations.
+        task: Whose success counts.
+        scene: Of the demonstrations.
+        spaces: Action spaces.
+        engine: Name of the physics engine; the one that makes demonstrations when None.
+        tick: Called with the number of demonstrations that were replayed.
     """
     engines: dict[str, Engine] = {}
     found = {}

@@ -101,11 +101,11 @@ class Samples:
         """The pictures that runs of some seeds see.
 
         Args:
-            seeds: of the runs.
-            steps: updates of each.
-            batch: samples an update.
-            views: cameras a sample.
-            obs_steps: observations a sample.
+            seeds: Of the runs.
+            steps: Updates of each.
+            batch: Samples an update.
+            views: Cameras a sample.
+            obs_steps: Observations a sample.
 
         Returns:
             bool [pictures]; None when they are more than half of all.

@@ -32,19 +32,19 @@ def write_dataset(
     """Writes demonstrations as a dataset, seen by cameras drawn as for our own.
 
     Args:
-        config: what to import and where to.
-        task: of the demonstrations.
+        config: What to import and where to.
+        task: Of the demonstrations.
         demos: `train` of them, then `valid`, without cameras.
-        train: training demonstrations.
-        valid: validation demonstrations.
-        about: where they come from, for the header.
-        console: for who holds the dataset's lock; silent when None.
+        train: Training demonstrations.
+        valid: Validation demonstrations.
+        about: Where they come from, for the header.
+        console: For who holds the dataset's lock; silent when None.
 
     Returns:
         The dataset as read back.
 
     Raises:
-        DatasetError: if it exists.
+        DatasetError: If it exists.
     """
     out = Path(config.out or f"data/{task.name}-{config.scene}-{Path(config.file).stem}.hdf5")
     like = CollectConfig(

@@ -37,14 +37,14 @@ def export_dataset(config: LerobotConfig, console: Console | None = None) -> Pat
     """Writes a dataset's training (or validation) demonstrations as a LeRobot dataset.
 
     Args:
-        config: what to export, and where to.
-        console: for progress; silent when None.
+        config: What to export, and where to.
+        console: For progress; silent when None.
 
     Returns:
         The folder.
 
     Raises:
-        DatasetError: if the dataset cannot be read, has no such demonstrations, or the folder
+        DatasetError: If the dataset cannot be read, has no such demonstrations, or the folder
             exists.
     """
     demos, out = read_demos(Path(config.dataset)), Path(config.out)

@@ -71,10 +71,10 @@ class Writer:
     """Writes episodes one after another: their rows, their videos, and what finds them again.
 
     Args:
-        root: folder, new.
-        features: description of the columns and videos; LeRobot's own columns are added.
-        fps: pictures a second.
-        task: of every episode, in words.
+        root: Folder, new.
+        features: Description of the columns and videos; LeRobot's own columns are added.
+        fps: Pictures a second.
+        task: Of every episode, in words.
     """
 
     def __init__(self, root: Path, features: dict[str, Any], fps: int, task: str) -> None:
@@ -104,8 +104,8 @@ class Writer:
         """Appends an episode.
 
         Args:
-            rows: columns [T, ...].
-            videos: pictures, uint8 [T, H, W, 3].
+            rows: Columns [T, ...].
+            videos: Pictures, uint8 [T, H, W, 3].
         """
         length, episode = len(next(iter(rows.values()))), len(self._episodes)
         t = np.arange(length)

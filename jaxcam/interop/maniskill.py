@@ -16,9 +16,9 @@ from rich.console import Console
 
 from jaxcam.config.datasets import ManiskillConfig
 from jaxcam.console.progress import progress
-from jaxcam.data.collection import FIRST_SEED
 from jaxcam.data.demos import Demo, Demos
 from jaxcam.data.replay import falls_short, play, show_replayed
+from jaxcam.data.splits import FIRST_SEED
 from jaxcam.errors import DatasetError
 from jaxcam.interop.importing import succeeds, write_dataset
 from jaxcam.interop.maniskill_files import open_file, read_demo, read_source, why_failed
@@ -45,16 +45,16 @@ def import_trajectories(config: ManiskillConfig, console: Console | None = None)
     """Turns a trajectory file into a dataset of ours.
 
     Args:
-        config: what to import and how.
-        console: for progress; silent when None.
+        config: What to import and how.
+        console: For progress; silent when None.
 
     Returns:
         The dataset as read back, and what was left out of it.
 
     Raises:
-        DatasetError: if the file is not ManiSkill's, is of another task or robot, has no
+        DatasetError: If the file is not ManiSkill's, is of another task or robot, has no
             environment states, or if the dataset exists.
-        SimError: if this machine cannot run ManiSkill.
+        SimError: If this machine cannot run ManiSkill.
     """
     source = read_source(config)
     source.task.require()
@@ -102,10 +102,10 @@ def run(
     """Imports a file, replays it, and tells of both.
 
     Args:
-        config: what to import and how.
-        spaces: action spaces to replay in.
-        engine: name of the physics engine; the world's own when None.
-        console: to tell on.
+        config: What to import and how.
+        spaces: Action spaces to replay in.
+        engine: Name of the physics engine; the world's own when None.
+        console: To tell on.
 
     Returns:
         Whether each demonstration succeeds in each space, bool [D] by name.

@@ -67,7 +67,7 @@ def read_source(config: ManiskillConfig) -> TrajectoryFile:
     """What a file and the JSON beside it say of themselves.
 
     Raises:
-        DatasetError: if they are missing, not ManiSkill's, or of a task that we have not.
+        DatasetError: If they are missing, not ManiSkill's, or of a task that we have not.
     """
     path = Path(config.file)
     require_file(path)
@@ -111,7 +111,7 @@ def open_file(path: Path) -> h5py.File:
     """Opens the HDF5 file.
 
     Raises:
-        DatasetError: if it cannot be.
+        DatasetError: If it cannot be.
     """
     return open_hdf5(path, remedy="Download or record it again.")
 
@@ -120,14 +120,14 @@ def read_demo(source: TrajectoryFile, file: h5py.File, name: str, mode: str, see
     """One trajectory as a demonstration, without cameras.
 
     Args:
-        source: the file.
-        file: the same, open.
-        name: of the trajectory.
-        mode: control mode it was recorded in.
-        seed: of the demonstration; fixes where the table is seen.
+        source: The file.
+        file: The same, open.
+        name: Of the trajectory.
+        mode: Control mode it was recorded in.
+        seed: Of the demonstration; fixes where the table is seen.
 
     Raises:
-        DatasetError: if something is missing or wrong; names file and trajectory.
+        DatasetError: If something is missing or wrong; names file and trajectory.
     """
     try:
         group: Any = file[name]

@@ -18,10 +18,10 @@ from rich.console import Console
 
 from jaxcam.config.datasets import RobomimicConfig
 from jaxcam.console.progress import progress
-from jaxcam.data.collection import FIRST_SEED
 from jaxcam.data.demos import Demo, Demos
 from jaxcam.data.hdf5 import open_hdf5, whole
 from jaxcam.data.replay import replay_all
+from jaxcam.data.splits import FIRST_SEED
 from jaxcam.errors import ConfigError, DatasetError, closest
 from jaxcam.interop.importing import succeeds, write_dataset
 from jaxcam.interop.robosuite_model import (
@@ -94,14 +94,14 @@ def import_demos(config: RobomimicConfig, console: Console | None = None) -> Dem
     """Turns a robomimic file into a dataset of ours.
 
     Args:
-        config: what to import and how.
-        console: for progress; silent when None.
+        config: What to import and how.
+        console: For progress; silent when None.
 
     Returns:
         The dataset as read back.
 
     Raises:
-        DatasetError: if the file is not robomimic's, is of another task or robot, or if the
+        DatasetError: If the file is not robomimic's, is of another task or robot, or if the
             dataset exists.
     """
     task = make_task(config.task)
@@ -299,8 +299,8 @@ def success_of(demos: Demos, console: Console | None = None) -> tuple[np.ndarray
     """Whether each demonstration succeeds in its recorded states, and when replayed, bool [D].
 
     Args:
-        demos: an imported dataset.
-        console: for progress; silent when None.
+        demos: An imported dataset.
+        console: For progress; silent when None.
     """
     task, world, episodes = demos.task, demos.world, demos.episodes
     recorded = np.array([succeeds(demo, task, world) for demo in episodes])

@@ -8,8 +8,8 @@ from rich.console import Console
 
 from jaxcam.config.datasets import CollectConfig
 from jaxcam.data import collection as collect_module
-from jaxcam.data.collection import FIRST_SEED, collect, dataset_path, episode_seeds, run_expert
-from jaxcam.data.pairs import SPLITS
+from jaxcam.data.collection import collect, dataset_path, run_expert
+from jaxcam.data.splits import FIRST_SEED, SPLITS, episode_seeds
 from jaxcam.errors import SimError
 from jaxcam.sim.experts import STEP
 from jaxcam.sim.mujoco.native import NativeEngine

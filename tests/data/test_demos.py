@@ -206,6 +206,13 @@ def test_what_is_in_the_file_is_checked(copy, spoil, match):
     refused(copy, match)
 
 
+def test_another_seed_of_an_episode_breaks_the_seal(copy):
+    """An attribute has no checksum; whether an episode is the evaluation's is told by its seed."""
+    with h5py.File(copy, "r+") as file:
+        file["data/demo_2"].attrs["seed"] += 1
+    refused(copy, "damaged: its content is not what was written")
+
+
 def test_cut_demonstration(copy):
     with h5py.File(copy, "r+") as file:
         states = file["data/demo_0/states"][:-1]

@@ -146,6 +146,17 @@ def test_a_disk_that_fills_up_keeps_what_is_done(elsewhere, pictures, monkeypatc
     np.testing.assert_array_equal(load_pictures(elsewhere, PIXELS).rgb, pictures.rgb)
 
 
+def test_a_renderer_that_fails_for_good_is_replaced(elsewhere, pictures, monkeypatch):
+    rgb, broken = Renderer.rgb, []
+
+    def failing(self, view):
+        broken[:] = broken or [self]  # the first that draws is black from now on
+        return rgb(self, view) * (self is not broken[0])
+
+    monkeypatch.setattr(Renderer, "rgb", failing)
+    np.testing.assert_array_equal(load_pictures(elsewhere, PIXELS).rgb, pictures.rgb)
+
+
 def test_other_pictures_have_another_cache(demos, pictures):
     before = set(pictures_in(demos))
     small = load_pictures(demos, 16)

@@ -14,9 +14,9 @@ from running import exit_code
 
 from jaxcam.checks.examine import examine
 from jaxcam.config.datasets import ManiskillConfig
-from jaxcam.data.collection import FIRST_SEED
 from jaxcam.data.demos import read_demos
 from jaxcam.data.pictures import load_pictures
+from jaxcam.data.splits import FIRST_SEED
 from jaxcam.errors import DatasetError
 from jaxcam.interop.formats import recognise
 from jaxcam.interop.importing import succeeds
