@@ -84,15 +84,15 @@ class Dataset:
         steps = t[:, None] + np.arange(chunk) - (obs_steps - 1)
         is_pad = (steps < 0) | (steps >= self.lengths[demo][:, None])
         where = demo[:, None], np.clip(steps, 0, self.actions.shape[1] - 1)
-        seen = history(t, obs_steps)
-        rows = self.pictures.layout.at(demo[:, None, None], seen[..., None], views[:, None])
+        times = history(t, obs_steps)
+        rows = self.pictures.layout.at(demo[:, None, None], times[..., None], views[:, None])
         cameras = np.stack([self.windows[d][v] for d, v in zip(demo, views, strict=True)])
         poses = np.broadcast_to(self.base_from_camera[cameras][:, None], (*rows.shape, 4, 4))
         observed = {
             "image": self.pictures.rgb[rows],
             "K": np.broadcast_to(self.K, (*rows.shape, 3, 3)).astype(np.float32),
             "base_from_camera": poses,
-            "proprio": self.proprio[demo[:, None], seen],
+            "proprio": self.proprio[demo[:, None], times],
         }
         if obs_steps == 1:
             observed = {name: values[:, 0] for name, values in observed.items()}

@@ -115,16 +115,16 @@ def _fill(writer: DemoWriter, task: Task, scene: World, console: Console | None)
                 writer.append(slot, replace(demo, cameras=cameras[slot]))
                 advance()
             tried, succeeded = tried + len(batch), succeeded + len(good)
-            told = f"The expert succeeded in {succeeded} of {tried} episodes"
+            outcome = f"The expert succeeded in {succeeded} of {tried} episodes"
             if unsteady:
-                told += f"; those of seeds {unsteady} do not replay in every action space"
+                outcome += f"; those of seeds {unsteady} do not replay in every action space"
             if tried >= 20 and kept < LEAST_SUCCESS * tried:
                 raise SimError(
-                    f"{writer.part}: {told}. At least {LEAST_SUCCESS:.0%} of {task.name}'s "
+                    f"{writer.part}: {outcome}. At least {LEAST_SUCCESS:.0%} of {task.name}'s "
                     "episodes should be worth keeping. What was collected is kept."
                 )
     if console and tried:
-        console.print(f"{told}{' and were replaced' * bool(unsteady)}.")
+        console.print(f"{outcome}{' and were replaced' * bool(unsteady)}.")
 
 
 def _unsteady(demos: list[Demo], task: Task, scene: World) -> list[int]:

@@ -233,16 +233,16 @@ def read_demos(path: Path, *, task: str | None = None, scene: str | None = None)
     for demo in demos:
         for array in (demo.states, demo.actions, demo.geom_size, demo.fixtures, demo.cameras):
             digest.update(np.ascontiguousarray(array).tobytes())
-    found = Demos(
+    demos_read = Demos(
         path, header, demos[: header.train], demos[header.train :], digest.hexdigest()[:16]
     )
-    if seal is not None and seal != seal_of(found):
+    if seal is not None and seal != seal_of(demos_read):
         raise DatasetError(
             f"{path}: damaged: its content is not what was written. Delete it and collect again, "
             "or copy it anew."
         )
     # After the hashes: a singular value decomposition has other last digits on other machines.
-    return replace(found, header=_orthonormal(path, header))
+    return replace(demos_read, header=_orthonormal(path, header))
 
 
 def _orthonormal(path: Path, header: Header) -> Header:

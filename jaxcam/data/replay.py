@@ -87,7 +87,7 @@ def replay_all(
         tick: Called with the number of demonstrations that were replayed.
     """
     engines: dict[str, Engine] = {}
-    found = {}
+    replayed = {}
     for space in spaces:
         controller = controller_of(space)
         if controller not in engines:
@@ -99,8 +99,8 @@ def replay_all(
             batch = demos[i : i + BATCH]
             parts.append(replay(batch, space, task, scene, engines[controller]))
             tick(len(batch))
-        found[space] = np.concatenate(parts)
-    return found
+        replayed[space] = np.concatenate(parts)
+    return replayed
 
 
 def show_replayed(
@@ -109,17 +109,17 @@ def show_replayed(
     """Replays a dataset and prints a table of how many succeed; see `replay_all`."""
     episodes, header = demos.episodes, demos.header
     with progress(to, "replaying", len(episodes) * len(spaces)) as advance:
-        found = replay_all(episodes, demos.task, demos.world, spaces, engine, advance)
+        replayed = replay_all(episodes, demos.task, demos.world, spaces, engine, advance)
     table = Table(title=f"{header.task}, {header.scene}: {len(episodes)} demonstrations")
     for column in ("action space", "succeed", "rate", "fail"):
         table.add_column(column, justify="left" if column != "rate" else "right")
-    for space, success in found.items():
+    for space, success in replayed.items():
         failed = ", ".join(f"demo_{i}" for i in np.flatnonzero(~success))
         table.add_row(space, f"{success.sum()} of {len(episodes)}", f"{success.mean():.1%}", failed)
     to.print(table)
-    if falls_short(found):
+    if falls_short(replayed):
         to.print(f"Below {GATE:.0%}: policies of that space learn from what does not work.")
-    return found
+    return replayed
 
 
 def falls_short(replayed: dict[str, np.ndarray]) -> bool:
