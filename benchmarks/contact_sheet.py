@@ -13,6 +13,7 @@ import matplotlib.image
 import numpy as np
 
 from jaxcam.data.collection import run_expert
+from jaxcam.data.splits import SPLITS
 from jaxcam.rays import sample_poses
 from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.sim import make_task
@@ -22,7 +23,7 @@ from jaxcam.sim.mujoco.scene import SCENES
 from jaxcam.sim.task import Task, starts
 
 COLUMNS, TILE, GAP = 6, 184, 6
-TEST_CAMERAS, FIRST_EPISODE = 23, 7
+TEST_CAMERAS, FIRST_EPISODE = SPLITS["test"].cameras, 7
 TASKS = ("lift", "pick_place_can", "square")
 
 
@@ -47,7 +48,7 @@ def demonstration(task: Task, camera: int) -> np.ndarray:
     times = np.linspace(0, demo.length, COLUMNS).round().astype(int)
     pose = sample_poses(task.cameras, camera + 1, TEST_CAMERAS)[camera]
     view = View(
-        qpos=demo.qpos(scene.physics.nq)[times],
+        qpos=demo.qpos[times],
         geom_size=np.repeat(demo.geom_size[None], COLUMNS, 0),
         fixtures=np.repeat(demo.fixtures[None], COLUMNS, 0),
         K=np.tile(intrinsics(task.fovy_deg, TILE), (COLUMNS, 1, 1)),

@@ -23,7 +23,7 @@ import mujoco
 import numpy as np
 
 from jaxcam.config.names import TaskName
-from jaxcam.data.demos import read_demos
+from jaxcam.data.demos import read_demos, starts_of
 from jaxcam.rays.rotations import rotvec_from_matrix
 from jaxcam.sim import make_engine, make_task
 from jaxcam.sim.actions import decode, demo_actions, measured
@@ -121,15 +121,9 @@ def program(args: argparse.Namespace) -> None:
 def replay(args: argparse.Namespace) -> None:
     for path in args.dataset:
         data = read_demos(Path(path))
-        task = make_task(data.header.task)
-        scene = task.scene(data.header.scene)
-        demos = (data.train + data.valid)[: args.demos]
-        nq = scene.physics.nq
-        start = Start(
-            np.stack([d.states[0, 1 : 1 + nq] for d in demos]),
-            np.stack([d.geom_size for d in demos]),
-            np.stack([d.fixtures for d in demos]),
-        )
+        task, scene = data.task, data.world
+        demos = data.episodes[: args.demos]
+        start = starts_of(demos)
         for which in args.engines:
             engine = make_engine(which, scene, "osc_pose", task.varied)
             state = engine.reset(start)

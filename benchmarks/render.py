@@ -1,4 +1,4 @@
-"""Milliseconds a frame of the batched renderer on Lift, against `mujoco.Renderer`.
+"""Milliseconds a picture of the batched renderer on Lift, against `mujoco.Renderer`.
 
     python benchmarks/render.py [--size 84] [--views 64] [--json]
 
@@ -83,7 +83,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Speed of the batched renderer on Lift.")
     parser.add_argument("--scene", default="randomized", choices=("fixed", "randomized"))
     parser.add_argument("--size", type=int, default=84, help="image side (pixels)")
-    parser.add_argument("--views", type=int, default=64, help="frames a round")
+    parser.add_argument("--views", type=int, default=64, help="pictures a round")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--json", action="store_true", help="print one JSON object as well")
     args = parser.parse_args()
@@ -118,11 +118,11 @@ def measure(programs: dict[str, Callable[[], np.ndarray]], args: argparse.Namesp
     ratios = {name: float(np.median(np.array(t) / one)) for name, t in times.items()}
     cores, load = os.cpu_count(), os.getloadavg()[0]
     print(f"Lift, {args.scene} scene, {args.size} x {args.size}, {cores} cores, load {load:.1f}:")
-    print(f"  {'':28} {'ms a frame':>11} {'of the first':>14}")
+    print(f"  {'':28} {'ms a picture':>12} {'of the first':>14}")
     for name, values in times.items():
-        print(f"  {name:28} {np.median(values):11.2f} {ratios[name]:14.2f}")
+        print(f"  {name:28} {np.median(values):12.2f} {ratios[name]:14.2f}")
     found: dict[str, Any] = {
-        "what": f"milliseconds a frame of Lift at {args.size} px, medians over rounds",
+        "what": f"milliseconds a picture of Lift at {args.size} px, medians over rounds",
         "scene": args.scene,
         "ms": {name: float(np.median(t)) for name, t in times.items()},
         "times_of_the_first": ratios,

@@ -20,14 +20,14 @@ def main() -> None:
     args = parser.parse_args()
 
     with av.open(args.video) as container:
-        frames = [f.to_ndarray(format="rgb24") for f in container.decode(video=0)][: args.frames]
-    size = [int(args.scale * n) for n in reversed(frames[0].shape[:2])]
-    small = [cv2.resize(frame, size, interpolation=cv2.INTER_AREA) for frame in frames]
-    # One palette for all frames; an octree keeps small objects' colours, a median cut loses them.
+        pictures = [f.to_ndarray(format="rgb24") for f in container.decode(video=0)][: args.frames]
+    size = [int(args.scale * n) for n in reversed(pictures[0].shape[:2])]
+    small = [cv2.resize(p, size, interpolation=cv2.INTER_AREA) for p in pictures]
+    # One palette for all pictures; an octree keeps small objects' colours, a median cut loses them.
     plain = {"dither": Image.Dither.NONE}
     several = Image.fromarray(np.concatenate(small[::8]))
     palette = several.quantize(128, method=Image.Quantize.FASTOCTREE, **plain)
-    first, *rest = (Image.fromarray(frame).quantize(palette=palette, **plain) for frame in small)
+    first, *rest = (Image.fromarray(p).quantize(palette=palette, **plain) for p in small)
     duration = [100] * len(rest) + [2000]
     first.save(
         args.gif, save_all=True, append_images=rest, duration=duration, loop=0, optimize=True

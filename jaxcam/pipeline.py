@@ -19,7 +19,7 @@ from jaxcam.config.train import TrainConfig
 from jaxcam.data.batches import Dataset, make_dataset
 from jaxcam.data.collection import collect
 from jaxcam.data.demos import read_demos
-from jaxcam.data.pictures import load_frames
+from jaxcam.data.pictures import load_pictures
 from jaxcam.data.samples import Layout, Samples
 from jaxcam.devices import check_same, gathered, has_accelerator, is_first, joined, own
 from jaxcam.errors import ConfigError
@@ -141,8 +141,8 @@ def training_data(configs: Sequence[TrainConfig], console: Console | None) -> Da
     samples = Samples(Layout.of(demos), len(demos.train))
     seeds, obs_steps = [c.seed for c in configs], policy_settings(config, task.prompt).obs_steps
     wanted = samples.wanted(seeds, config.steps, config.batch, config.views, obs_steps)
-    frames = load_frames(demos, config.resolution, console, wanted)
-    return make_dataset(demos, frames, config.action_space, task.scene(config.scene))
+    pictures = load_pictures(demos, config.resolution, console, wanted)
+    return make_dataset(demos, pictures, config.action_space, task.scene(config.scene))
 
 
 def policy_of(config: TrainConfig, stats: Stats | None = None) -> Policy:

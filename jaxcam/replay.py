@@ -3,7 +3,7 @@
 from jaxcam.config.datasets import ReplayConfig
 from jaxcam.console.command import Command
 
-COMMAND = Command(ReplayConfig, "jaxcam.data.replay:main")
+COMMAND = Command(ReplayConfig, "jaxcam.interop.replaying:main")
 
 if __name__ == "__main__":
     COMMAND.run()

@@ -3,7 +3,7 @@
 from jaxcam.config.commands import WeightsConfig
 from jaxcam.console.command import Command
 
-COMMAND = Command(WeightsConfig, "jaxcam.interop.lerobot_policy:main")
+COMMAND = Command(WeightsConfig, "jaxcam.interop.weights:main")
 
 if __name__ == "__main__":
     COMMAND.run()

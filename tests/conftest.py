@@ -53,10 +53,10 @@ def demos(data_dir):
 
 
 @pytest.fixture(scope="session")
-def frames(demos):
-    from jaxcam.data.pictures import load_frames
+def pictures(demos):
+    from jaxcam.data.pictures import load_pictures
 
-    return load_frames(demos, PIXELS)
+    return load_pictures(demos, PIXELS)
 
 
 @pytest.fixture(scope="session")

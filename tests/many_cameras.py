@@ -11,7 +11,7 @@ CAMERAS = 60
 
 def seen_by_many(demos):
     """The session's six demonstrations ten times, each seen by a camera of its own."""
-    episodes = (demos.train + demos.valid) * (CAMERAS // 6)
+    episodes = demos.episodes * (CAMERAS // 6)
     train = [replace(demo, cameras=np.array([i])) for i, demo in enumerate(episodes)]
     poses = sample_poses(POSE_RANGES["robosuite"], CAMERAS, 1)
     header = replace(demos.header, world_from_camera=poses, train=CAMERAS, valid=0)

@@ -16,7 +16,7 @@ import numpy as np
 from jaxcam.config.train import TrainConfig
 from jaxcam.data.batches import Dataset
 from jaxcam.data.pairs import Pairs
-from jaxcam.data.pictures import Frames
+from jaxcam.data.pictures import Pictures
 from jaxcam.data.samples import Layout
 from jaxcam.models import Policy, PolicySpec
 from jaxcam.results.rows import Row
@@ -49,7 +49,7 @@ def dataset():
         return rng.normal(size=(count, STEPS, size)).astype(np.float32)
 
     return Dataset(
-        frames=Frames(pictures, layout, np.ones(layout.total, bool)),
+        pictures=Pictures(pictures, layout, np.ones(layout.total, bool)),
         K=np.diag([20.0, 20, 1]).astype(np.float32),
         base_from_camera=poses,
         actions=values(SPEC.action_dim),

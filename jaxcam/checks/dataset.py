@@ -21,12 +21,11 @@ from jaxcam.checks.numbers import (
 from jaxcam.checks.overlays import chosen
 from jaxcam.console.progress import progress
 from jaxcam.console.words import some
-from jaxcam.data.demos import Demo, Demos, faults_of, read_demos
+from jaxcam.data.demos import Demo, Demos, faults_of, read_demos, starts_of
 from jaxcam.data.replay import GATE, replay_all
 from jaxcam.errors import DatasetError
 from jaxcam.sim import make_engine
 from jaxcam.sim.actions import ACTION_SPACES
-from jaxcam.sim.engine import Start
 from jaxcam.sim.task import Task
 from jaxcam.sim.world import World
 
@@ -73,7 +72,7 @@ def check_content(demos: Demos, scene: World) -> Iterator[Finding]:
         yield check_cameras(demos)
         yield check_ranges(demos)
     yield check_field_of_view(demos)
-    episodes = demos.train + demos.valid
+    episodes = demos.episodes
     for check in (check_lengths, check_commands, check_gripper, check_constants, check_rate):
         yield check(episodes)
 
@@ -90,7 +89,7 @@ def check_physics(
         count: Demonstrations that are replayed.
         console: For progress; silent when None.
     """
-    episodes = demos.train + demos.valid
+    episodes = demos.episodes
     rows = chosen(len(episodes), count)
     replayed = [episodes[i] for i in rows]
     yield _grip(replayed, rows, task, scene)
@@ -125,7 +124,7 @@ def _sizes(demos: Demos, scene: World) -> Finding:
 
 def _duplicates(demos: Demos) -> Finding:
     """Whether a demonstration is there twice."""
-    episodes = demos.train + demos.valid
+    episodes = demos.episodes
     same = [*_twins(episodes, lambda d: d.states.tobytes() + d.actions.tobytes())]
     seeds = [*_twins(episodes, lambda d: str(d.seed).encode())]
     if not same and not seeds:
@@ -159,13 +158,8 @@ def _twins(episodes: Sequence[Demo], key: Callable[[Demo], bytes]) -> Iterator[t
 
 def _grip(demos: Sequence[Demo], rows: np.ndarray, task: Task, scene: World) -> Finding:
     """Whether the recorded grip is where the simulator has it for the recorded joints."""
-    start = Start(
-        qpos=np.stack([d.states[0, 1 : 1 + scene.nq] for d in demos]),
-        geom_size=np.stack([d.geom_size for d in demos]),
-        fixtures=np.stack([d.fixtures for d in demos]),
-    )
     engine = make_engine(scene.engines[0], scene, "osc_pose", task.varied)
-    there = np.asarray(engine.reset(start).grip_position)
+    there = np.asarray(engine.reset(starts_of(demos)).grip_position)
     apart = np.linalg.norm(there - [d.eef_pos[0] for d in demos], axis=-1)
     got = f"within {apart.max() * 1000:.2g} mm of where the joints put it"
     if apart.max() <= APART:

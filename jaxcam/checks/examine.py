@@ -4,14 +4,10 @@ It looks and changes nothing. Its findings are shown in a table and on a page be
 checked; the exit code is 1 if something must be mended.
 """
 
-import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, cast
 
-import h5py
 from rich.console import Console
 
 from jaxcam.checks.dataset import check_content, check_physics, read
@@ -22,13 +18,10 @@ from jaxcam.checks.page import Report, draw_figures, write_page
 from jaxcam.checks.pictures import check_caches, draw_overlays
 from jaxcam.checks.run import check_run
 from jaxcam.config.commands import CheckConfig
-from jaxcam.config.datasets import ManiskillConfig, RobomimicConfig
-from jaxcam.config.names import TaskName
-from jaxcam.data.demos import Demos
 from jaxcam.errors import ConfigError, DatasetError, SimError
 from jaxcam.files.paths import absolute
-from jaxcam.interop.maniskill_files import is_trajectories
-from jaxcam.sim import make_task
+from jaxcam.interop.formats import read as read_any
+from jaxcam.interop.formats import recognise
 
 
 def check_dataset(path: Path, count: int, console: Console | None = None) -> Report:
@@ -42,8 +35,7 @@ def check_dataset(path: Path, count: int, console: Console | None = None) -> Rep
     demos, findings = read(path)
     if demos is None:
         return Report(path.name, "It cannot be used.", findings)
-    task = make_task(demos.header.task)
-    scene = task.scene(demos.header.scene)
+    task, scene = demos.task, demos.world
     findings += check_content(demos, scene)
     wrong = {finding.what for finding in findings if finding.mark == "bad"}
     overlays = None
@@ -66,20 +58,17 @@ def check_dataset(path: Path, count: int, console: Console | None = None) -> Rep
     )
 
 
-def check_foreign(
-    path: Path, count: int, console: Console | None, importer: Callable[[Path], Demos]
-) -> Report:
+def check_foreign(path: Path, count: int, console: Console | None = None) -> Report:
     """Examines what becomes of somebody else's file when it is imported; nothing of that is kept.
 
     Args:
         path: Of the file.
         count: See `check_dataset`.
         console: For progress; silent when None.
-        importer: Writes the file's demonstrations as a dataset of ours to a path.
     """
     with TemporaryDirectory() as folder:
         try:
-            demos = importer(Path(folder) / "imported.hdf5")
+            demos = read_any(path, Path(folder) / "imported.hdf5", console)
         except DatasetError as error:
             finding = bad("file", got=str(error))
             return Report(path.name, "It cannot be imported.", [finding])
@@ -96,38 +85,9 @@ def examine(path: Path, count: int, console: Console | None = None) -> Report:
                 f"{path}: not a run folder, since it has no config.json, and datasets are files."
             )
         return Report(path.name, "Run folder.", list(check_run(path, console)))
-    if is_trajectories(path):
-        from jaxcam.interop.maniskill import import_trajectories
-
-        def trajectories(out: Path) -> Demos:
-            return import_trajectories(ManiskillConfig(str(path), out=str(out)), console).demos
-
-        return check_foreign(path, count, console, trajectories)
-    if task := _robomimic_task(path):
-        from jaxcam.interop.robomimic import import_demos
-
-        def robomimic(out: Path) -> Demos:
-            return import_demos(
-                RobomimicConfig(str(path), task=cast(TaskName, task), out=str(out)), console
-            )
-
-        return check_foreign(path, count, console, robomimic)
+    if recognise(path) in ("robomimic", "maniskill"):
+        return check_foreign(path, count, console)
     return check_dataset(path, count, console)
-
-
-def _robomimic_task(path: Path) -> str:
-    """Our task of a file in robomimic's layout; empty if it is another's."""
-    from jaxcam.interop.robomimic import ENVIRONMENTS
-
-    try:
-        with h5py.File(path, "r") as file:
-            attributes: Any = file["data"].attrs
-            if "jaxcam" in attributes or "env_args" not in attributes:
-                return ""
-            name = json.loads(attributes["env_args"])["env_name"]
-    except (OSError, RuntimeError, LookupError, TypeError, ValueError):
-        return ""
-    return ENVIRONMENTS.get(str(name), "lift")  # others are refused with the reason
 
 
 def _page(config: CheckConfig) -> Path:

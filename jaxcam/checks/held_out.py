@@ -6,9 +6,8 @@ from scipy.spatial import KDTree
 from jaxcam.checks.findings import Finding, bad, good, note
 from jaxcam.console.words import some
 from jaxcam.data.demos import Demos
-from jaxcam.data.pairs import SPLITS
+from jaxcam.data.splits import SPLITS
 from jaxcam.rays import sample_poses, spherical
-from jaxcam.sim import make_task
 
 HELD_OUT = 1000
 """Cameras of the evaluation that a dataset's are compared with."""
@@ -23,13 +22,13 @@ def check_held_out(demos: Demos) -> Finding:
     header, what = demos.header, "held-out pairs"
     trained = np.asarray(header.world_from_camera)
     tree = KDTree(_flat(trained))
-    ranges = make_task(header.task).cameras
+    ranges = demos.task.cameras
     shared = {}
     for split, (_, seed) in SPLITS.items():
         apart, _ = tree.query(_flat(sample_poses(ranges, HELD_OUT, seed)))
         shared[split] = np.count_nonzero(np.asarray(apart) < SAME)
     first, last = min(s for s, _ in SPLITS.values()), max(s for s, _ in SPLITS.values())
-    seeds = [d.seed for d in demos.train + demos.valid]
+    seeds = [d.seed for d in demos.episodes]
     taken = [seed for seed in seeds if first <= seed < 2 * last - first]
     if not any(shared.values()) and not taken:
         return good(what, got="no camera and no episode of the evaluation is in the dataset")
@@ -45,7 +44,7 @@ def check_held_out(demos: Demos) -> Finding:
 
 def check_field_of_view(demos: Demos) -> Finding:
     """Whether the field of view is that of the cameras a policy will be evaluated with."""
-    task = make_task(demos.header.task)
+    task = demos.task
     got, expected = demos.header.fovy_deg, task.fovy_deg
     if np.isclose(got, expected, atol=1e-3):
         return good("field of view", got=f"{got:g}° up and down, as the task's cameras")
@@ -61,7 +60,7 @@ def check_field_of_view(demos: Demos) -> Finding:
 
 def check_ranges(demos: Demos) -> Finding:
     """Whether cameras are drawn from where those of the evaluation are."""
-    ranges, what = make_task(demos.header.task).cameras, "camera ranges"
+    ranges, what = demos.task.cameras, "camera ranges"
     poses, centre = np.asarray(demos.header.world_from_camera), np.array(ranges.centre)
     azimuth, elevation, distance = spherical(poses, centre)
     near = [_within(azimuth + turn, pair) for pair in ranges.azimuth for turn in (0, 2 * np.pi)]
@@ -91,7 +90,7 @@ def check_ranges(demos: Demos) -> Finding:
 
 def camera_numbers(demos: Demos) -> dict[str, np.ndarray]:
     """Distances, azimuths and elevations of the cameras about the middle of the task, by name."""
-    centre = np.array(make_task(demos.header.task).cameras.centre)
+    centre = np.array(demos.task.cameras.centre)
     azimuth, elevation, distance = spherical(demos.header.world_from_camera, centre)
     return {
         "camera distance (m)": distance,

@@ -116,7 +116,7 @@ def check_rate(episodes: Sequence[Demo]) -> Finding:
 
 def statistics(demos: Demos) -> list[Row]:
     """Least, middle and largest value of what is worth seeing."""
-    episodes = demos.train + demos.valid
+    episodes = demos.episodes
     actions = np.concatenate([d.actions for d in episodes])
     places = np.concatenate([d.eef_pos for d in episodes])
     quantities: list[tuple[str, np.ndarray]] = [

@@ -44,7 +44,7 @@ class Moment(NamedTuple):
 
 def moments(demos: Demos, count: int) -> list[Moment]:
     """Pictures of so many demonstrations, each at another time and from another camera."""
-    episodes = demos.train + demos.valid
+    episodes = demos.episodes
     rows = chosen(len(episodes), count)
     return [
         Moment(row, episodes[row].length * i // len(rows), i % len(episodes[row].cameras))
@@ -59,7 +59,7 @@ def chosen(total: int, count: int) -> np.ndarray:
 
 def draw(demos: Demos, shown: Sequence[Moment], painter: Painter) -> np.ndarray:
     """Pictures drawn anew, uint8 [N, H, W, 3]."""
-    episodes, parts = demos.train + demos.valid, []
+    episodes, parts = demos.episodes, []
     for row, t, camera in shown:
         number = np.array([t * len(episodes[row].cameras) + camera])
         parts.append(views_of(episodes[row], demos, painter.height, number))
@@ -71,7 +71,7 @@ def draw_over(picture: np.ndarray, demos: Demos, shown: Moment, scene: World) ->
 
     That is the axes of grip and table, and the way of the grip.
     """
-    demo, side = (demos.train + demos.valid)[shown.row], len(picture)
+    demo, side = demos.episodes[shown.row], len(picture)
     pose = demos.header.world_from_camera[demo.cameras[shown.camera]]
     eye = Camera(intrinsics(demos.header.fovy_deg, side), pose, side, side)
     _line(picture, eye, demo.eef_pos, PATH, 1)
@@ -81,8 +81,7 @@ def draw_over(picture: np.ndarray, demos: Demos, shown: Moment, scene: World) ->
 
 def grip_pose(demo: Demo, t: int) -> np.ndarray:
     """World from grip site [4, 4] at a control step."""
-    rotation = matrix_from_quaternion(np.roll(demo.eef_quat[t], 1))
-    return _rigid(rotation, demo.eef_pos[t])
+    return demo.world_from_grip()[t]
 
 
 def table_pose(demo: Demo, scene: World) -> np.ndarray:

@@ -85,7 +85,7 @@ def draw_figures(demos: Demos, task: Task) -> dict[str, Figure]:
 
 @styled
 def _ways(demos: Demos) -> Figure:
-    demos_drawn = demos.train + demos.valid
+    demos_drawn = demos.episodes
     figure, (lengths, above) = side_by_side((8.2, 3.6), columns=2)
     lengths.hist([d.length for d in demos_drawn], bins=24, color=BLUE)
     lengths.set(xlabel="control steps", ylabel="demonstrations", title="Lengths")

@@ -11,7 +11,7 @@ from jaxcam.checks.findings import Finding, bad, good, note
 from jaxcam.checks.overlays import PIXELS, Moment, chosen, draw, draw_over, moments, sheet
 from jaxcam.console.words import some
 from jaxcam.data.demos import Demos
-from jaxcam.data.pictures import Frames, is_blank, open_frames
+from jaxcam.data.pictures import Pictures, is_blank, open_pictures
 from jaxcam.errors import JaxcamError
 from jaxcam.rays import spherical
 from jaxcam.sim.task import Task
@@ -63,7 +63,7 @@ def check_caches(demos: Demos, task: Task, scene: World, count: int) -> Iterator
             )
             continue
         try:
-            cache = open_frames(path, demos, int(side))
+            cache = open_pictures(path, demos, int(side))
         except JaxcamError as error:
             yield bad(what, got=str(error), where=path.name)
             continue
@@ -83,7 +83,7 @@ def draw_overlays(demos: Demos, task: Task, scene: World, count: int) -> np.ndar
         scene: Of the demonstrations; it can be drawn here.
         count: Demonstrations that are shown.
     """
-    episodes, shown = demos.train + demos.valid, moments(demos, count)
+    episodes, shown = demos.episodes, moments(demos, count)
     azimuth, elevation, _ = spherical(demos.header.world_from_camera, np.array(task.cameras.centre))
     pictures = draw(demos, shown, scene.painter(PIXELS, varied=task.varied)).copy()
     captions = []
@@ -95,17 +95,17 @@ def draw_overlays(demos: Demos, task: Task, scene: World, count: int) -> np.ndar
     return sheet(list(pictures), captions)
 
 
-def _blank(what: str, path: Path, cache: Frames) -> Finding:
+def _blank(what: str, path: Path, cache: Pictures) -> Finding:
     """Whether pictures are of one colour, or demonstrations stand still."""
     first, cameras = cache.layout.first, cache.layout.cameras
     rows = _some_drawn(cache, SCANNED)
-    blank = [int(row) for row in rows if is_blank(cache.pictures[row])]
+    blank = [int(row) for row in rows if is_blank(cache.rgb[row])]
     frozen = [
         i
         for i, (a, b) in enumerate(pairwise(first))
         if b - a > cameras[i]
         and cache.drawn[[a, b - cameras[i]]].all()
-        and np.array_equal(cache.pictures[a], cache.pictures[b - cameras[i]])
+        and np.array_equal(cache.rgb[a], cache.rgb[b - cameras[i]])
     ]
     if not blank and not frozen:
         total, drawn = len(cache.drawn), cache.drawn.sum()
@@ -125,13 +125,13 @@ def _blank(what: str, path: Path, cache: Frames) -> Finding:
 
 
 def _compared(
-    what: str, path: Path, cache: Frames, demos: Demos, task: Task, scene: World, count: int
+    what: str, path: Path, cache: Pictures, demos: Demos, task: Task, scene: World, count: int
 ) -> Finding:
     """Whether pictures are what is drawn here of their states and cameras."""
     rows = _some_drawn(cache, count)
     shown = list(map(Moment, *(part.tolist() for part in cache.layout.where(rows))))
-    ours = draw(demos, shown, scene.painter(cache.pictures.shape[1], varied=task.varied))
-    theirs = cache.pictures[rows]
+    ours = draw(demos, shown, scene.painter(cache.rgb.shape[1], varied=task.varied))
+    theirs = cache.rgb[rows]
     apart = _apart(ours, theirs)
     if apart.max() <= ALIKE:
         return good(what, got=f"{len(ours)} drawn anew are the same")
@@ -148,7 +148,7 @@ def _compared(
     )
 
 
-def _some_drawn(cache: Frames, count: int) -> np.ndarray:
+def _some_drawn(cache: Pictures, count: int) -> np.ndarray:
     """Numbers of pictures that are drawn, evenly spread."""
     drawn = np.flatnonzero(cache.drawn)
     return drawn[chosen(len(drawn), count)]

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from jaxcam.data.demos import Demo, Demos
-from jaxcam.data.pictures import Frames
+from jaxcam.data.pictures import Pictures
 from jaxcam.data.samples import Samples, history
 from jaxcam.models.normalization import STD_FLOOR
 from jaxcam.models.policy import Batch
@@ -28,7 +28,7 @@ PREFETCH = 4
 class Dataset:
     """Demonstrations as the arrays that batches are cut from."""
 
-    frames: Frames = field(repr=False)
+    pictures: Pictures = field(repr=False)
     K: np.ndarray
     """Intrinsics of every picture [3, 3]."""
     base_from_camera: np.ndarray = field(repr=False)
@@ -49,12 +49,12 @@ class Dataset:
     @property
     def lengths(self) -> np.ndarray:
         """Control steps of each demonstration [D]."""
-        return self.frames.layout.lengths
+        return self.pictures.layout.lengths
 
     @property
     def samples(self) -> Samples:
         """Which of its samples a run takes."""
-        return Samples(self.frames.layout, self.train)
+        return Samples(self.pictures.layout, self.train)
 
     def stats(self) -> dict[str, np.ndarray]:
         """Statistics of the training demonstrations, float32; population std as the authors'."""
@@ -81,15 +81,15 @@ class Dataset:
         steps = t[:, None] + np.arange(chunk) - (obs_steps - 1)
         is_pad = (steps < 0) | (steps >= self.lengths[demo][:, None])
         where = demo[:, None], np.clip(steps, 0, self.actions.shape[1] - 1)
-        seen = history(t, obs_steps)
-        rows = self.frames.layout.at(demo[:, None, None], seen[..., None], views[:, None])
+        times = history(t, obs_steps)
+        rows = self.pictures.layout.at(demo[:, None, None], times[..., None], views[:, None])
         cameras = np.stack([self.windows[d][v] for d, v in zip(demo, views, strict=True)])
         poses = np.broadcast_to(self.base_from_camera[cameras][:, None], (*rows.shape, 4, 4))
         observed = {
-            "image": self.frames.pictures[rows],
+            "image": self.pictures.rgb[rows],
             "K": np.broadcast_to(self.K, (*rows.shape, 3, 3)).astype(np.float32),
             "base_from_camera": poses,
-            "proprio": self.proprio[demo[:, None], seen],
+            "proprio": self.proprio[demo[:, None], times],
         }
         if obs_steps == 1:
             observed = {name: values[:, 0] for name, values in observed.items()}
@@ -107,32 +107,30 @@ class Dataset:
 
 def make_dataset(
     demos: Demos,
-    frames: Frames,
+    pictures: Pictures,
     space: str,
     scene: World,
 ) -> Dataset:
     """Turns demonstrations into arrays, their commands into actions of a space.
 
     Args:
-        demos: the dataset.
-        frames: its pictures.
-        space: of the actions.
-        scene: where the demonstrations were given.
+        demos: The dataset.
+        pictures: Of it.
+        space: Of the actions.
+        scene: Where the demonstrations were given.
     """
-    every = demos.train + demos.valid
-    longest = int(frames.layout.lengths.max())
-    nq = demos.header.nq
+    longest = int(pictures.layout.lengths.max())
     actions, keyframes, proprio = [], [], []
-    for demo in every:
+    for demo in demos.episodes:
         moves = demo_actions(demo, space, scene)
-        state = scene.proprio(demo.qpos(nq), demo.eef_pos)[:-1]
+        state = scene.proprio(demo.qpos, demo.eef_pos)[:-1]
         pad = ((0, longest - demo.length), (0, 0))
         actions.append(np.pad(moves, pad))
         keyframes.append(np.pad(_keyframes(demo, scene), pad))
         proprio.append(np.pad(state, pad))
-    pixels = frames.pictures.shape[1]
+    pixels = pictures.rgb.shape[1]
     return Dataset(
-        frames=frames,
+        pictures=pictures,
         K=intrinsics(demos.header.fovy_deg, pixels),
         base_from_camera=(invert(scene.world_from_base) @ demos.header.world_from_camera).astype(
             np.float32
@@ -140,7 +138,7 @@ def make_dataset(
         actions=np.stack(actions).astype(np.float32),
         keyframes=np.stack(keyframes).astype(np.float32),
         proprio=np.stack(proprio).astype(np.float32),
-        windows=[d.cameras for d in every],
+        windows=[d.cameras for d in demos.episodes],
         train=len(demos.train),
         fingerprint=f"{demos.fingerprint}-{pixels}px-{space}",
     )
@@ -170,13 +168,13 @@ def stacked_batches(
     A thread reads ahead; it only makes what `index` names.
 
     Args:
-        dataset: where samples come from.
-        seed: of the order.
-        first: step to begin with.
-        last: step to stop before.
-        per_call: steps stacked on the first axis.
-        batch: samples a step, of all shards.
-        shard: which of how many equal shards is read.
+        dataset: Where samples come from.
+        seed: Of the order.
+        first: Step to begin with.
+        last: Step to stop before.
+        per_call: Steps stacked on the first axis.
+        batch: Samples a step, of all shards.
+        shard: Which of how many equal shards is read.
         **sizes: `views`, `chunk` and, if there are several, `obs_steps`.
     """
     views, chunk, obs_steps = sizes["views"], sizes["chunk"], sizes.get("obs_steps", 1)

@@ -171,7 +171,7 @@ READINGS = (
 def sights_of(demos: Demos) -> Sights:
     """The cameras that demonstrations are seen by, each with places of the grip in those."""
     paths: dict[int, list[np.ndarray]] = {}
-    for demo in demos.train + demos.valid:
+    for demo in demos.episodes:
         for row in demo.cameras:
             paths.setdefault(int(row), []).append(demo.eef_pos)
     rows = np.array(sorted(paths))

@@ -12,28 +12,20 @@ from jaxcam.config.fields import fill
 from jaxcam.console.progress import progress
 from jaxcam.data.demos import Demo, Demos, Header, read_demos
 from jaxcam.data.replay import replay_all
+from jaxcam.data.splits import TRAIN_CAMERAS, VALIDATION_CAMERAS, episode_seeds
 from jaxcam.data.writer import DemoWriter
 from jaxcam.errors import SimError
 from jaxcam.files.locks import exclusive
 from jaxcam.files.paths import home
 from jaxcam.rays import sample_poses, stair, stair_cameras
-from jaxcam.rays.rotations import quaternion_from_matrix, rotvec_from_matrix
+from jaxcam.rays.rotations import rotvec_from_matrix
 from jaxcam.sim import make_engine, make_task
-from jaxcam.sim.controllers import CONTROL_HZ
 from jaxcam.sim.engine import Command, Engine, Start, State
 from jaxcam.sim.task import Aim, Sight, Task, starts
 from jaxcam.sim.world import World
 
-FIRST_SEED = 42
-"""Start of the demonstrations' episode seeds (authors' generators)."""
-SEED_STRIDE, SEEDS = 10_000_000, 900_000
-"""Distance between the episode seeds of two datasets, and how many each has: none ever reaches
-those of the evaluation's pairs (`jaxcam.data.pairs.SPLITS`)."""
-TRAIN_CAMERAS = 1
-"""Seed of the training cameras: with robosuite's ranges, the authors' released set."""
-VALIDATION_CAMERAS = 3
-"""Seed of the validation demonstrations' cameras."""
 BATCH = 50
+"""Episodes that are run side by side."""
 LEAST_SUCCESS = 0.9
 """Share of episodes worth keeping below which something is broken and collection stops."""
 
@@ -55,8 +47,8 @@ def collect(config: CollectConfig, console: Console | None = None) -> Demos:
     """Collects what is missing of a dataset and reads it.
 
     Args:
-        config: what to collect.
-        console: for progress; silent when None.
+        config: What to collect.
+        console: For progress; silent when None.
 
     Returns:
         The complete dataset. An existing file is read and checked, an unfinished one continued.
@@ -130,16 +122,16 @@ def _fill(writer: DemoWriter, task: Task, scene: World, console: Console | None)
                 writer.append(slot, replace(demo, cameras=cameras[slot]))
                 advance()
             tried, succeeded = tried + len(batch), succeeded + len(good)
-            told = f"The expert succeeded in {succeeded} of {tried} episodes"
+            outcome = f"The expert succeeded in {succeeded} of {tried} episodes"
             if unsteady:
-                told += f"; those of seeds {unsteady} do not replay in every action space"
+                outcome += f"; those of seeds {unsteady} do not replay in every action space"
             if tried >= 20 and kept < LEAST_SUCCESS * tried:
                 raise SimError(
-                    f"{writer.part}: {told}. At least {LEAST_SUCCESS:.0%} of {task.name}'s "
+                    f"{writer.part}: {outcome}. At least {LEAST_SUCCESS:.0%} of {task.name}'s "
                     "episodes should be worth keeping. What was collected is kept."
                 )
     if console and tried:
-        console.print(f"{told}{' and were replaced' * bool(unsteady)}.")
+        console.print(f"{outcome}{' and were replaced' * bool(unsteady)}.")
 
 
 def _unsteady(demos: list[Demo], task: Task, scene: World) -> list[int]:
@@ -148,12 +140,6 @@ def _unsteady(demos: list[Demo], task: Task, scene: World) -> list[int]:
         return []
     holds = np.all(list(replay_all(demos, task, scene).values()), 0)
     return [demo.seed for demo, held in zip(demos, holds, strict=True) if not held]
-
-
-def episode_seeds(seed: int) -> range:
-    """The episode seeds that the dataset of a seed may use."""
-    first = FIRST_SEED + SEED_STRIDE * seed
-    return range(first, first + SEEDS)
 
 
 def run_expert(task: Task, scene: World, engine: Engine, seeds: list[int]) -> list[Demo | None]:
@@ -205,28 +191,23 @@ def _command(aim: Aim | None) -> np.ndarray:
 def _demo(
     trace: list[State], commands: list[np.ndarray], start: Start, i: int, seed: int, length: int
 ) -> Demo:
-    rows = trace[: length + 1]
-    time = np.arange(length + 1)[:, None] / CONTROL_HZ
-    qpos = np.stack([s.qpos[i] for s in rows])
-    qvel = np.stack([s.qvel[i] for s in rows])
-    quat = quaternion_from_matrix(np.stack([s.grip_rotation[i] for s in rows]))
-    return Demo(
+    states = trace[: length + 1]
+    return Demo.record(
+        Start(*(x[i] for x in start)),
         seed=seed,
-        states=np.concatenate([time, qpos, qvel], 1),
+        qpos=np.stack([s.qpos[i] for s in states]),
+        qvel=np.stack([s.qvel[i] for s in states]),
         actions=np.stack([c[i] for c in commands[:length]]),
-        eef_pos=np.stack([s.grip_position[i] for s in rows]),
-        eef_quat=np.roll(quat, -1, -1),
-        gripper=np.array([s.closed[i] for s in rows]),
-        geom_size=start.geom_size[i],
-        fixtures=start.fixtures[i],
-        cameras=np.empty(0, int),
+        grip_position=np.stack([s.grip_position[i] for s in states]),
+        grip_rotation=np.stack([s.grip_rotation[i] for s in states]),
+        gripper=np.array([s.closed[i] for s in states]),
     )
 
 
 def main(config: CollectConfig, console: Console) -> None:
     """Runs the command."""
     demos = collect(config, console)
-    lengths = [d.length for d in demos.train + demos.valid]
+    lengths = [d.length for d in demos.episodes]
     console.print(
         f"{demos.path}: {len(demos.train)} training and {len(demos.valid)} validation "
         f"demonstrations of {min(lengths)} to {max(lengths)} control steps "

@@ -22,7 +22,7 @@ import contextlib
 import hashlib
 import json
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -30,23 +30,36 @@ from typing import Any
 import h5py
 import numpy as np
 
+from jaxcam.data.hdf5 import Format, format_of, open_hdf5, whole
 from jaxcam.errors import DatasetError
 from jaxcam.rays import ROTATION_TOLERANCE
-from jaxcam.rays.rotations import nearest_rotation
+from jaxcam.rays.rotations import (
+    matrix_from_quaternion,
+    nearest_rotation,
+    quaternion_from_matrix,
+)
+from jaxcam.sim import make_task
+from jaxcam.sim.controllers import CONTROL_HZ
+from jaxcam.sim.engine import Start
+from jaxcam.sim.task import Task
+from jaxcam.sim.world import World
 
 FORMAT = 1
 ROUNDED = 1e-6
 """Largest entry of |RᵀR - I| of a camera's rotation that is left as it is."""
-_HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+REMEDY = "Delete it and collect again, or copy it anew."
+"""What to do with a file that is damaged."""
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class Demo:
-    """One demonstration of T control steps."""
+    """One demonstration of T control steps; its arrays are those of the file (see above)."""
 
     seed: int
+    nq: int
+    """Joint positions in a row of `states`."""
     states: np.ndarray = field(repr=False)
     actions: np.ndarray = field(repr=False)
     eef_pos: np.ndarray = field(repr=False)
@@ -62,9 +75,70 @@ class Demo:
         """Control steps."""
         return len(self.actions)
 
-    def qpos(self, nq: int) -> np.ndarray:
-        """Joint positions [T + 1, nq]."""
-        return self.states[:, 1 : 1 + nq]
+    @property
+    def qpos(self) -> np.ndarray:
+        """Joint positions before each action, and after the last one [T + 1, nq]."""
+        return self.states[:, 1 : 1 + self.nq]
+
+    @property
+    def qvel(self) -> np.ndarray:
+        """Joint velocities at the same times [T + 1, nv]."""
+        return self.states[:, 1 + self.nq :]
+
+    def start(self) -> Start:
+        """What fixes the episode before its first step."""
+        return Start(self.qpos[0], self.geom_size, self.fixtures)
+
+    def world_from_grip(self) -> np.ndarray:
+        """Measured poses of the grip site before each action, and after the last [T + 1, 4, 4]."""
+        poses = np.tile(np.eye(4), (len(self.eef_pos), 1, 1))
+        poses[:, :3, :3] = matrix_from_quaternion(np.roll(self.eef_quat, 1, -1))
+        poses[:, :3, 3] = self.eef_pos
+        return poses
+
+    @classmethod
+    def record(
+        cls,
+        start: Start,
+        *,
+        seed: int,
+        qpos: np.ndarray,
+        qvel: np.ndarray,
+        actions: np.ndarray,
+        grip_position: np.ndarray,
+        grip_rotation: np.ndarray,
+        gripper: np.ndarray,
+    ) -> "Demo":
+        """A demonstration as it is made, without cameras.
+
+        Args:
+            start: What else fixes the episode than `qpos`.
+            seed: Of the episode.
+            qpos: Joint positions before each action, and after the last one [T + 1, nq].
+            qvel: Joint velocities at the same times [T + 1, nv].
+            actions: Commanded grip poses (m, rotation vector; world) and gripper signs [T, 7].
+            grip_position: Measured grip site (m, world) [T + 1, 3].
+            grip_rotation: Its axes in the world [T + 1, 3, 3].
+            gripper: The gripper's command in [-1 open, 1 closed] [T + 1].
+        """
+        time = np.arange(len(qpos))[:, None] / CONTROL_HZ
+        return cls(
+            seed=seed,
+            nq=qpos.shape[1],
+            states=np.concatenate([time, qpos, qvel], 1),
+            actions=actions,
+            eef_pos=grip_position,
+            eef_quat=np.roll(quaternion_from_matrix(grip_rotation), -1, -1),
+            gripper=gripper,
+            geom_size=start.geom_size,
+            fixtures=start.fixtures,
+            cameras=np.empty(0, int),
+        )
+
+
+def starts_of(demos: Sequence[Demo]) -> Start:
+    """The starts of several demonstrations of one world, stacked."""
+    return Start(*(np.stack(x) for x in zip(*(demo.start() for demo in demos), strict=True)))
 
 
 @dataclass(frozen=True)
@@ -117,17 +191,32 @@ class Demos:
     fingerprint: str
     """Hash of all states, commands and cameras."""
 
+    @property
+    def episodes(self) -> list[Demo]:
+        """All demonstrations in the file's order: those for training, then for validation."""
+        return self.train + self.valid
+
+    @property
+    def task(self) -> Task:
+        """The task that is demonstrated."""
+        return make_task(self.header.task)
+
+    @property
+    def world(self) -> World:
+        """The task's world in which it is."""
+        return self.task.scene(self.header.scene)
+
 
 def read_demos(path: Path, *, task: str | None = None, scene: str | None = None) -> Demos:
     """Reads a complete file.
 
     Args:
-        path: of the HDF5 file.
-        task: expected task; any when None.
-        scene: expected scene; any when None.
+        path: Of the HDF5 file.
+        task: Expected task; any when None.
+        scene: Expected scene; any when None.
 
     Raises:
-        DatasetError: if it is missing, damaged, of another task or scene, or lacks cameras.
+        DatasetError: If it is missing, damaged, of another task or scene, or lacks cameras.
     """
     with _open(path) as file:
         header = _read_header(path, file)
@@ -144,16 +233,16 @@ def read_demos(path: Path, *, task: str | None = None, scene: str | None = None)
     for demo in demos:
         for array in (demo.states, demo.actions, demo.geom_size, demo.fixtures, demo.cameras):
             digest.update(np.ascontiguousarray(array).tobytes())
-    found = Demos(
+    demos_read = Demos(
         path, header, demos[: header.train], demos[header.train :], digest.hexdigest()[:16]
     )
-    if seal is not None and seal != seal_of(found):
+    if seal is not None and seal != seal_of(demos_read):
         raise DatasetError(
             f"{path}: damaged: its content is not what was written. Delete it and collect again, "
             "or copy it anew."
         )
     # After the hashes: a singular value decomposition has other last digits on other machines.
-    return replace(found, header=_orthonormal(path, header))
+    return replace(demos_read, header=_orthonormal(path, header))
 
 
 def _orthonormal(path: Path, header: Header) -> Header:
@@ -175,7 +264,7 @@ def _orthonormal(path: Path, header: Header) -> Header:
 
 def seal_of(demos: Demos) -> str:
     """Hash of all that is read of a file; checksums see arrays, but attributes have none."""
-    seeds = [d.seed for d in demos.train + demos.valid]
+    seeds = [d.seed for d in demos.episodes]
     content = [demos.fingerprint, demos.header.identity(), seeds]
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
@@ -184,7 +273,7 @@ def faults_of(path: Path) -> list[DatasetError]:
     """All that is wrong with the demonstrations of a file, one error for each that has one.
 
     Raises:
-        DatasetError: if not even its header can be read.
+        DatasetError: If not even its header can be read.
     """
     faults = []
     with _open(path) as file:
@@ -199,22 +288,9 @@ def faults_of(path: Path) -> list[DatasetError]:
 
 @contextlib.contextmanager
 def _open(path: Path) -> Iterator[h5py.File]:
-    if not path.exists():
-        raise DatasetError(f"{path}: no such dataset. Make it with: python -m jaxcam.collect")
-    try:
-        with h5py.File(path, "r") as file:
-            yield file
-    except DatasetError:
-        raise
-    except (OSError, RuntimeError, LookupError, TypeError, ValueError) as error:
-        # HDF5's library reports damage in all of these ways.
-        head = path.read_bytes()[:8]
-        if head != _HDF5_SIGNATURE:
-            raise DatasetError(f"{path}: not an HDF5 file; it starts with {head!r}.") from error
-        raise DatasetError(
-            f"{path}: damaged or truncated ({path.stat().st_size} bytes; {error}). Delete it and "
-            "collect again, or copy it anew."
-        ) from error
+    missing = "no such dataset. Make it with: python -m jaxcam.collect"
+    with open_hdf5(path, missing=missing, remedy=REMEDY) as file, whole(path, REMEDY):
+        yield file
 
 
 def _read_header(path: Path, file: h5py.File) -> Header:
@@ -242,17 +318,13 @@ def _read_header(path: Path, file: h5py.File) -> Header:
 
 def _whose(path: Path, file: h5py.File) -> str:
     """Whose layout a file has that is not ours, and what to do with it."""
-    if any(str(name).startswith("traj_") for name in file):
-        return f"It looks like ManiSkill's: python -m jaxcam.maniskill {path}"
-    data: Any = file.get("data", {})
-    if "env_args" in getattr(data, "attrs", {}):
-        return f"It looks like robomimic's: python -m jaxcam.robomimic {path}"
-    if "env" in getattr(data, "attrs", {}):
-        return (
-            "It looks like robosuite's own recording: turn it into robomimic's layout with "
-            "robomimic's convert_robosuite.py, then: python -m jaxcam.robomimic FILE"
-        )
-    return "Expected the layout in docs/data.md."
+    hints: dict[Format, str] = {
+        "maniskill": f"It looks like ManiSkill's: python -m jaxcam.maniskill {path}",
+        "robomimic": f"It looks like robomimic's: python -m jaxcam.robomimic {path}",
+        "robosuite": "It looks like robosuite's own recording: turn it into robomimic's layout "
+        "with robomimic's convert_robosuite.py, then: python -m jaxcam.robomimic FILE",
+    }
+    return hints.get(format_of(file), "Expected the layout in docs/data.md.")
 
 
 def _read_demo(path: Path, file: h5py.File, index: int, header: Header) -> Demo:
@@ -263,6 +335,7 @@ def _read_demo(path: Path, file: h5py.File, index: int, header: Header) -> Demo:
     try:
         demo = Demo(
             seed=int(group.attrs["seed"]),
+            nq=header.nq,
             states=group["states"][:],
             actions=group["actions"][:],
             eef_pos=group["obs/robot0_eef_pos"][:],

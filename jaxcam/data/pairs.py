@@ -14,15 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxcam.data.splits import SPLITS
 from jaxcam.errors import DatasetError
 from jaxcam.files.jsonl import write_atomically
 from jaxcam.rays import sample_poses
 from jaxcam.sim.task import Start, Task, starts
 from jaxcam.sim.world import World
-
-SPLITS = {"test": (1_000_000, 23), "validation": (2_000_000, 5)}
-"""First episode seed and camera seed of each set of pairs. `test` has the authors' released test
-cameras; settings are chosen on `validation`."""
 
 
 class Pairs(NamedTuple):
@@ -55,9 +52,8 @@ def make_pairs(task: Task, scene: World, views: int, split: str, numbers: Sequen
         split: `test` or `validation`.
         numbers: Of the pairs.
     """
-    first, camera_seed = SPLITS[split]
-    poses = sample_poses(task.cameras, views * (max(numbers) + 1), camera_seed)
-    seeds = [first + number for number in numbers]
+    poses = sample_poses(task.cameras, views * (max(numbers) + 1), SPLITS[split].cameras)
+    seeds = [SPLITS[split].episodes + number for number in numbers]
     cameras = poses.reshape(-1, views, 4, 4)[list(numbers)]
     return Pairs(seeds, cameras, starts(task, scene, seeds))
 

@@ -1,8 +1,8 @@
 """The pictures of a dataset, rendered once per (dataset, cameras, resolution, renderer).
 
-A cache is one uint8 array on disk, `[frames, H, W, 3]`, read through a memory map. It is written
-as `<name>.part` beside a note of which frames are drawn, so an interrupted rendering goes on. A run
-that sees few of them has only those drawn: a `.part` may stay one, with holes that take no disk.
+A cache is one uint8 array on disk, `[pictures, H, W, 3]`, read through a memory map. It is written
+as `<name>.part` beside a note of which are drawn, so an interrupted rendering goes on. A run that
+sees few of them has only those drawn: a `.part` may stay one, with holes that take no disk.
 """
 
 import functools
@@ -29,81 +29,82 @@ from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.sim import make_task
 from jaxcam.sim.world import Painter, View, World
 
-FRAMES_AT_ONCE = 512
-"""Frames that are drawn and kept together."""
+PICTURES_AT_ONCE = 512
+"""Pictures that are drawn and kept together."""
 GROUPS_PER_WORKER = 8
-"""Groups of frames below which another process is not worth its start."""
+"""Groups of pictures below which another process is not worth its start."""
 
 
 @dataclass(frozen=True)
-class Frames:
+class Pictures:
     """Pictures of some demonstrations; `layout` says which is where."""
 
-    pictures: np.ndarray = field(repr=False)
-    """uint8 [frames, H, W, 3]."""
+    rgb: np.ndarray = field(repr=False)
+    """uint8 [pictures, H, W, 3], top row first."""
     layout: Layout = field(repr=False)
     drawn: np.ndarray = field(repr=False)
-    """Which of them are drawn, bool [frames]; the others are black."""
+    """Which of them are drawn, bool [pictures]; the others are black."""
 
 
-def load_frames(
+def load_pictures(
     demos: Demos,
     resolution: int,
     console: Console | None = None,
     wanted: np.ndarray | None = None,
-) -> Frames:
+) -> Pictures:
     """Renders what is missing of a dataset's pictures and opens them.
 
     Args:
-        demos: the dataset; training demonstrations come first, validation ones after.
-        resolution: side of the pictures (pixels).
-        console: for progress; silent when None.
-        wanted: those that will be looked at, bool [frames]; the others may stay empty. None is all.
+        demos: The dataset; training demonstrations come first, validation ones after.
+        resolution: Side of the pictures (pixels).
+        console: For progress; silent when None.
+        wanted: Those that will be looked at, bool [pictures]; the others may stay empty. All when
+            None.
 
     Raises:
-        CameraError: if the cameras cannot have seen the demonstrations.
-        DatasetError: if the disk has no room for them, or they are damaged.
-        SimError: if pictures come out blank.
+        CameraError: If the cameras cannot have seen the demonstrations.
+        DatasetError: If the disk has no room for them, or they are damaged.
+        SimError: If pictures come out blank.
     """
     require_possible(demos)
     name = f"{demos.path.stem}-{demos.fingerprint}-{resolution}px-{_scene(demos.header).look}.npy"
     path = demos.path.parent / "frames" / name
     if path.exists():
-        return open_frames(path, demos, resolution)
+        return open_pictures(path, demos, resolution)
     with exclusive(path, console):
         if not path.exists():
             path = _render(path, demos, resolution, console, wanted)
-        return open_frames(path, demos, resolution)
+        return open_pictures(path, demos, resolution)
 
 
-def open_frames(path: Path, demos: Demos, resolution: int) -> Frames:
+def open_pictures(path: Path, demos: Demos, resolution: int) -> Pictures:
     """Opens a cache.
 
     Args:
-        path: of the cache.
-        demos: the dataset whose pictures it holds.
-        resolution: side of the pictures (pixels).
+        path: Of the cache.
+        demos: The dataset whose pictures it holds.
+        resolution: Side of the pictures (pixels).
 
     Raises:
-        DatasetError: if it is not what was written.
+        DatasetError: If it is not what was written.
     """
     layout = Layout.of(demos)
     shape = (layout.total, resolution, resolution, 3)
     try:
-        pictures = np.load(path, mmap_mode="r")
-        found = f"{pictures.dtype} {list(pictures.shape)}"
+        rgb = np.load(path, mmap_mode="r")
+        content = f"{rgb.dtype} {list(rgb.shape)}"
     except (OSError, ValueError, EOFError) as error:
-        pictures, found = None, f"{path.stat().st_size} bytes that cannot be read ({error})"
-    if pictures is None or pictures.shape != shape or pictures.dtype != np.uint8:
+        rgb, content = None, f"{path.stat().st_size} bytes that cannot be read ({error})"
+    if rgb is None or rgb.shape != shape or rgb.dtype != np.uint8:
         raise DatasetError(
-            f"{path}: the pictures should be uint8 {list(shape)}, but are {found}. Delete the "
+            f"{path}: the pictures should be uint8 {list(shape)}, but are {content}. Delete the "
             "file; they are drawn anew."
         )
-    return Frames(pictures, layout, _drawn(path, layout.total))
+    return Pictures(rgb, layout, _drawn(path, layout.total))
 
 
 def _drawn(path: Path, total: int) -> np.ndarray:
-    """Which frames of a cache are drawn, bool [total]."""
+    """Which pictures of a cache are drawn, bool [total]."""
     if path.suffix != ".part":
         return np.ones(total, bool)
     flags = path.with_suffix(".drawn")
@@ -118,23 +119,23 @@ def _render(
     console: Console | None,
     wanted: np.ndarray | None,
 ) -> Path:
-    """Draws the wanted frames that are missing; returns where they are."""
+    """Draws the wanted pictures that are missing; returns where they are."""
     layout = Layout.of(demos)
     part = _Part(path, (layout.total, resolution, resolution, 3))
     wanted = np.ones(layout.total, bool) if wanted is None else wanted
     missing = np.flatnonzero(wanted & ~part.drawn)
     if len(missing):
         part.make_room(len(missing))
-        every = demos.train + demos.valid
+        episodes = demos.episodes
         groups = [
-            rows[i : i + FRAMES_AT_ONCE]
+            rows[i : i + PICTURES_AT_ONCE]
             for rows in np.split(missing, np.flatnonzero(np.diff(layout.owner(missing))) + 1)
-            for i in range(0, len(rows), FRAMES_AT_ONCE)
+            for i in range(0, len(rows), PICTURES_AT_ONCE)
         ]
 
         def view(rows: np.ndarray) -> View:
             d = layout.owner(rows[0])
-            return views_of(every[d], demos, resolution, rows - layout.first[d])
+            return views_of(episodes[d], demos, resolution, rows - layout.first[d])
 
         total = int(wanted.sum())
         drawn = _draw(demos.header, resolution, map(view, groups), len(groups))
@@ -204,14 +205,14 @@ def _scene(header: Header) -> World:
 
 
 def views_of(demo: Demo, demos: Demos, resolution: int, which: np.ndarray | None = None) -> View:
-    """Frames of a demonstration in the cache's order, time, then camera; all, or those named."""
+    """What a demonstration's pictures show, by time, then camera; of all, or of those named."""
     cameras = len(demo.cameras)
-    frames = np.arange(demo.length * cameras) if which is None else which
-    t, camera = np.divmod(frames, cameras)
-    count = len(frames)
+    which = np.arange(demo.length * cameras) if which is None else which
+    t, camera = np.divmod(which, cameras)
+    count = len(which)
     K = intrinsics(demos.header.fovy_deg, resolution)
     return View(
-        qpos=demo.qpos(demos.header.nq)[t],
+        qpos=demo.qpos[t],
         geom_size=np.broadcast_to(demo.geom_size, (count, *demo.geom_size.shape)),
         fixtures=np.broadcast_to(demo.fixtures, (count, *demo.fixtures.shape)),
         K=np.broadcast_to(K, (count, 3, 3)),
@@ -220,17 +221,21 @@ def views_of(demo: Demo, demos: Demos, resolution: int, which: np.ndarray | None
 
 
 class _Part:
-    """An unfinished cache, and which of its frames are drawn."""
+    """An unfinished cache, and which of its pictures are drawn."""
 
     def __init__(self, path: Path, shape: tuple[int, ...]) -> None:
         self.path = path
         self.part, self._flags = path.with_suffix(".part"), path.with_suffix(".drawn")
-        self._shape, self._frame = shape, int(np.prod(shape[1:]))
+        self._shape, self._size = shape, int(np.prod(shape[1:]))
         self.drawn = _drawn(self.part, shape[0])
 
-    def make_room(self, frames: int) -> None:
-        """Sees to it that so many more frames can be written."""
-        need, free = frames * self._frame, shutil.disk_usage(self.path.parent).free
+    def make_room(self, count: int) -> None:
+        """Makes sure that there is space for `count` more pictures, and begins the cache.
+
+        Raises:
+            DatasetError: If the disk has too little.
+        """
+        need, free = count * self._size, shutil.disk_usage(self.path.parent).free
         if free < need * 1.05:
             raise DatasetError(
                 f"{self.path.parent}: the pictures need {need / 1e9:.2g} GB, but {free / 1e9:.2g} "
@@ -241,13 +246,13 @@ class _Part:
             self.drawn.tofile(self._flags)
 
     def write(self, rows: np.ndarray, pictures: np.ndarray) -> None:
-        """Writes frames of ascending numbers."""
+        """Writes pictures of ascending numbers."""
         # Not through a map: where the disk is full that kills the process, this raises.
         try:
-            offset = self.part.stat().st_size - len(self.drawn) * self._frame
+            offset = self.part.stat().st_size - len(self.drawn) * self._size
             with open(self.part, "r+b") as file:
                 for run in np.split(np.arange(len(rows)), np.flatnonzero(np.diff(rows) > 1) + 1):
-                    file.seek(offset + int(rows[run[0]]) * self._frame)
+                    file.seek(offset + int(rows[run[0]]) * self._size)
                     file.write(np.ascontiguousarray(pictures[run]).data)
             self.drawn[rows] = True
             with open(self._flags, "r+b") as file:

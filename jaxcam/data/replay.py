@@ -1,4 +1,4 @@
-"""`python -m jaxcam.replay DATASET`: what demonstrations are worth in each action space.
+"""What demonstrations are worth in each action space.
 
 Every demonstration's commands are turned into actions of a space and executed, open loop, from the
 state that it began in. The paper asks for at least 99 % in each space (section V-A4).
@@ -10,14 +10,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from jaxcam.config.datasets import ManiskillConfig, ReplayConfig
 from jaxcam.console.progress import progress
-from jaxcam.data.demos import Demo, Header, read_demos
-from jaxcam.files.paths import absolute
-from jaxcam.interop.maniskill_files import is_trajectories
-from jaxcam.sim import make_engine, make_task
+from jaxcam.data.demos import Demo, Demos, starts_of
+from jaxcam.sim import make_engine
 from jaxcam.sim.actions import ACTION_SPACES, controller_of, decode, demo_actions, measured
-from jaxcam.sim.engine import Command, Engine, OpenLoop, Start
+from jaxcam.sim.engine import Command, Engine, OpenLoop
 from jaxcam.sim.task import Task
 from jaxcam.sim.world import World
 
@@ -43,20 +40,16 @@ def play(
     """Executes demonstrations side by side in one action space.
 
     Args:
-        demos: the demonstrations.
-        space: of the actions.
-        task: whose success counts.
-        scene: of the demonstrations.
-        engine: with the space's controller.
+        demos: The demonstrations.
+        space: Of the actions.
+        task: Whose success counts.
+        scene: Of the demonstrations.
+        engine: With the space's controller.
 
     Returns:
         Whether each succeeded at any step of its own, bool [D], and the way there [T + 1, D, nq].
     """
-    start = Start(
-        qpos=np.stack([d.states[0, 1 : 1 + scene.nq] for d in demos]),
-        geom_size=np.stack([d.geom_size for d in demos]),
-        fixtures=np.stack([d.fixtures for d in demos]),
-    )
+    start = starts_of(demos)
     lengths = np.array([d.length for d in demos]) + SETTLE
     actions = [_held(demo_actions(d, space, scene), space, max(lengths)) for d in demos]
     anchor = measured(space, engine.reset(start), scene.arm)
@@ -86,15 +79,15 @@ def replay_all(
     """Whether each demonstration succeeds in each space, bool [D] by name.
 
     Args:
-        demos: the demonstrations.
-        task: whose success counts.
-        scene: of the demonstrations.
-        spaces: action spaces.
-        engine: name of the physics engine; the one that makes demonstrations when None.
-        tick: called with the number of demonstrations that were replayed.
+        demos: The demonstrations.
+        task: Whose success counts.
+        scene: Of the demonstrations.
+        spaces: Action spaces.
+        engine: Name of the physics engine; the one that makes demonstrations when None.
+        tick: Called with the number of demonstrations that were replayed.
     """
     engines: dict[str, Engine] = {}
-    found = {}
+    replayed = {}
     for space in spaces:
         controller = controller_of(space)
         if controller not in engines:
@@ -106,39 +99,29 @@ def replay_all(
             batch = demos[i : i + BATCH]
             parts.append(replay(batch, space, task, scene, engines[controller]))
             tick(len(batch))
-        found[space] = np.concatenate(parts)
-    return found
+        replayed[space] = np.concatenate(parts)
+    return replayed
 
 
-def tell(
-    demos: Sequence[Demo], header: Header, spaces: Sequence[str], engine: str | None, to: Console
+def show_replayed(
+    demos: Demos, spaces: Sequence[str], engine: str | None, to: Console
 ) -> dict[str, np.ndarray]:
-    """Replays demonstrations and prints a table of how many succeed; see `replay_all`."""
-    task = make_task(header.task)
-    scene = task.scene(header.scene)
-    with progress(to, "replaying", len(demos) * len(spaces)) as advance:
-        found = replay_all(demos, task, scene, spaces, engine, advance)
-    table = Table(title=f"{header.task}, {header.scene}: {len(demos)} demonstrations")
+    """Replays a dataset and prints a table of how many succeed; see `replay_all`."""
+    episodes, header = demos.episodes, demos.header
+    with progress(to, "replaying", len(episodes) * len(spaces)) as advance:
+        replayed = replay_all(episodes, demos.task, demos.world, spaces, engine, advance)
+    table = Table(title=f"{header.task}, {header.scene}: {len(episodes)} demonstrations")
     for column in ("action space", "succeed", "rate", "fail"):
         table.add_column(column, justify="left" if column != "rate" else "right")
-    for space, success in found.items():
+    for space, success in replayed.items():
         failed = ", ".join(f"demo_{i}" for i in np.flatnonzero(~success))
-        table.add_row(space, f"{success.sum()} of {len(demos)}", f"{success.mean():.1%}", failed)
+        table.add_row(space, f"{success.sum()} of {len(episodes)}", f"{success.mean():.1%}", failed)
     to.print(table)
-    if any(success.mean() < GATE for success in found.values()):
+    if falls_short(replayed):
         to.print(f"Below {GATE:.0%}: policies of that space learn from what does not work.")
-    return found
+    return replayed
 
 
-def main(config: ReplayConfig, console: Console) -> int:
-    """Runs the command; its exit code."""
-    path = absolute(config.dataset)
-    spaces = config.action_space or ACTION_SPACES
-    if is_trajectories(path):
-        from jaxcam.interop.maniskill import run
-
-        found = run(ManiskillConfig(file=config.dataset), spaces, config.engine, console)
-    else:
-        data = read_demos(path)
-        found = tell(data.train + data.valid, data.header, spaces, config.engine, console)
-    return int(any(success.mean() < GATE for success in found.values()))
+def falls_short(replayed: dict[str, np.ndarray]) -> bool:
+    """Whether fewer than `GATE` of the demonstrations succeed in some space; see `replay_all`."""
+    return any(success.mean() < GATE for success in replayed.values())

@@ -1,4 +1,4 @@
-"""Which frames a dataset has, and which samples of them a run takes, given its seed."""
+"""Which pictures a dataset has, and which samples of them a run takes, given its seed."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ Sample = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class Layout:
-    """The order of a dataset's frames: by demonstration, in it by time, in that by camera."""
+    """The order of a dataset's pictures: by demonstration, in it by time, in that by camera."""
 
     lengths: np.ndarray
     """Control steps of each demonstration [D]."""
@@ -24,31 +24,33 @@ class Layout:
     @classmethod
     def of(cls, demos: Demos) -> "Layout":
         """The layout of a dataset; training demonstrations come first, validation ones after."""
-        every = demos.train + demos.valid
-        return cls(np.array([d.length for d in every]), np.array([len(d.cameras) for d in every]))
+        episodes = demos.episodes
+        return cls(
+            np.array([d.length for d in episodes]), np.array([len(d.cameras) for d in episodes])
+        )
 
     @cached_property
     def first(self) -> np.ndarray:
-        """First frame of each demonstration, and after the last the number of frames [D + 1]."""
+        """First picture of each demonstration, and after the last the number of all [D + 1]."""
         return np.concatenate([[0], np.cumsum(self.lengths * self.cameras)])
 
     @property
     def total(self) -> int:
-        """Number of frames."""
+        """Number of pictures."""
         return int(self.first[-1])
 
-    def owner(self, frame: np.ndarray) -> np.ndarray:
-        """The demonstration that a frame is of."""
-        return np.searchsorted(self.first, frame, side="right") - 1
+    def owner(self, picture: np.ndarray) -> np.ndarray:
+        """The demonstration that a picture is of."""
+        return np.searchsorted(self.first, picture, side="right") - 1
 
     def at(self, demo: np.ndarray, t: np.ndarray, camera: np.ndarray) -> np.ndarray:
-        """Index of a frame; `camera` counts within the demonstration's window."""
+        """Index of a picture; `camera` counts within the demonstration's window."""
         return self.first[demo] + t * self.cameras[demo] + camera
 
-    def where(self, frame: np.ndarray) -> Sample:
-        """The inverse of `at`: demonstration, time step and camera of frames."""
-        demo = self.owner(frame)
-        return demo, *np.divmod(frame - self.first[demo], self.cameras[demo])
+    def where(self, picture: np.ndarray) -> Sample:
+        """The inverse of `at`: demonstration, time step and camera of pictures."""
+        demo = self.owner(picture)
+        return demo, *np.divmod(picture - self.first[demo], self.cameras[demo])
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ class Samples:
     """Number of training demonstrations; the rest are for validation."""
 
     def index(self, seed: int, step: int, batch: int, views: int) -> Sample:
-        """Names a step's samples.
+        """The samples of one update: demonstrations, time steps and cameras.
 
         As in the authors' harness an epoch takes every training demonstration once, in random
         order, each at one random time step and from random distinct cameras of its window.
@@ -96,17 +98,17 @@ class Samples:
     def wanted(
         self, seeds: Iterable[int], steps: int, batch: int, views: int, obs_steps: int
     ) -> np.ndarray | None:
-        """The frames that runs of some seeds see.
+        """The pictures that runs of some seeds see.
 
         Args:
-            seeds: of the runs.
-            steps: updates of each.
-            batch: samples an update.
-            views: cameras a sample.
-            obs_steps: observations a sample.
+            seeds: Of the runs.
+            steps: Updates of each.
+            batch: Samples an update.
+            views: Cameras a sample.
+            obs_steps: Observations a sample.
 
         Returns:
-            bool [frames]; None when they are more than half of all.
+            bool [pictures]; None when they are more than half of all.
         """
         seen = np.zeros(self.layout.total, bool)
         if self.train < len(self.layout.lengths):

@@ -94,7 +94,7 @@ class DemoWriter:
     def _resume(self) -> None:
         try:
             self._file = h5py.File(self.part, "r+")
-            found = json.loads(str(self._file["data"].attrs["jaxcam"]))
+            stored = json.loads(str(self._file["data"].attrs["jaxcam"]))
         except BlockingIOError as error:
             raise DatasetError(
                 f"{self.part}: in use by another process. Wait for it to finish collecting."
@@ -104,7 +104,7 @@ class DemoWriter:
                 f"{self.part}: an unfinished file that cannot be opened ({error}). "
                 "Delete it and collect again."
             ) from error
-        wrong = _differences(found, self.header.identity())
+        wrong = _differences(stored, self.header.identity())
         if wrong:
             self._file.close()
             raise DatasetError(
@@ -117,7 +117,7 @@ class DemoWriter:
                 del data[name]
 
 
-def _differences(found: dict[str, Any], wanted: dict[str, Any]) -> str:
+def _differences(stored: dict[str, Any], wanted: dict[str, Any]) -> str:
     return ", ".join(
-        f"{k}: file {found.get(k)}, asked {v}" for k, v in wanted.items() if found.get(k) != v
+        f"{k}: file {stored.get(k)}, asked {v}" for k, v in wanted.items() if stored.get(k) != v
     )

@@ -16,8 +16,7 @@ from jaxcam.data.writer import DemoWriter
 from jaxcam.errors import DatasetError
 from jaxcam.files.locks import exclusive
 from jaxcam.files.paths import home
-from jaxcam.rays.rotations import matrix_from_quaternion
-from jaxcam.sim.engine import Start, State
+from jaxcam.sim.engine import State
 from jaxcam.sim.task import Task
 from jaxcam.sim.world import World
 
@@ -35,19 +34,19 @@ def write_dataset(
     """Writes demonstrations as a dataset, seen by cameras drawn as for our own.
 
     Args:
-        config: what to import and where to.
-        task: of the demonstrations.
+        config: What to import and where to.
+        task: Of the demonstrations.
         demos: `train` of them, then `valid`, without cameras.
-        train: training demonstrations.
-        valid: validation demonstrations.
-        about: where they come from, for the header.
-        console: for who holds the dataset's lock; silent when None.
+        train: Training demonstrations.
+        valid: Validation demonstrations.
+        about: Where they come from, for the header.
+        console: For who holds the dataset's lock; silent when None.
 
     Returns:
         The dataset as read back.
 
     Raises:
-        DatasetError: if it exists.
+        DatasetError: If it exists.
     """
     out = home(config.out or f"data/{task.name}-{config.scene}-{Path(config.file).stem}.hdf5")
     like = CollectConfig(
@@ -73,15 +72,15 @@ def write_dataset(
 
 def succeeds(demo: Demo, task: Task, scene: World) -> bool:
     """Whether the task is done in one of a demonstration's states."""
-    qpos, qvel = demo.states[:, 1 : 1 + scene.nq], demo.states[:, 1 + scene.nq :]
+    grip = demo.world_from_grip()
     state = State(
-        qpos=qpos,
-        qvel=qvel,
-        warmstart=np.zeros((len(qpos), 0)),
+        qpos=demo.qpos,
+        qvel=demo.qvel,
+        warmstart=np.zeros((len(grip), 0)),
         closed=demo.gripper,
-        rest=qpos[:, scene.arm],
-        grip_position=demo.eef_pos,
-        grip_rotation=matrix_from_quaternion(np.roll(demo.eef_quat, 1, -1)),
-        ok=np.ones(len(qpos), bool),
+        rest=demo.qpos[:, scene.arm],
+        grip_position=grip[:, :3, 3],
+        grip_rotation=grip[:, :3, :3],
+        ok=np.ones(len(grip), bool),
     )
-    return bool(task.success(scene, state, Start(qpos[0], demo.geom_size, demo.fixtures)).any())
+    return bool(task.success(scene, state, demo.start()).any())

@@ -2,7 +2,7 @@
 
 Written with pyarrow and PyAV, so LeRobot and its PyTorch need not be installed; LeRobot's own
 loader reads the folder (`tests/golden/check_lerobot.py`). Beside what every LeRobot dataset has
-(`observation.state`, `action`, a video a view) each frame carries, for each view,
+(`observation.state`, `action`, a video a view) each row carries, for each view,
 `camera.<view>.base_from_camera` (OpenCV axes) and `camera.<view>.intrinsics` (pixels), and
 `meta/jaxcam.json` tells the conventions. They are no `observation.*`, since LeRobot would take
 those for robot states and normalise every number of a pose by itself.
@@ -21,12 +21,11 @@ from jaxcam.config.datasets import LerobotConfig
 from jaxcam.console.progress import progress
 from jaxcam.data.batches import Dataset, make_dataset
 from jaxcam.data.demos import Demos, read_demos
-from jaxcam.data.pictures import load_frames
+from jaxcam.data.pictures import load_pictures
 from jaxcam.errors import DatasetError
 from jaxcam.files.locks import exclusive
 from jaxcam.files.paths import home
 from jaxcam.interop.lerobot_format import VERSION, Writer, feature, video_feature, write_json
-from jaxcam.sim import make_task
 from jaxcam.sim.actions import is_joint
 from jaxcam.sim.controllers import CONTROL_HZ
 from jaxcam.sim.world import World
@@ -35,18 +34,18 @@ POSE = ("x", "y", "z", "rx", "ry", "rz")
 JOINTS = tuple(f"joint_{i}" for i in range(1, 8))
 
 
-def export(config: LerobotConfig, console: Console | None = None) -> Path:
+def export_dataset(config: LerobotConfig, console: Console | None = None) -> Path:
     """Writes a dataset's training (or validation) demonstrations as a LeRobot dataset.
 
     Args:
-        config: what to export, and where to.
-        console: for progress; silent when None.
+        config: What to export, and where to.
+        console: For progress; silent when None.
 
     Returns:
         The folder.
 
     Raises:
-        DatasetError: if the dataset cannot be read, has no such demonstrations, or the folder
+        DatasetError: If the dataset cannot be read, has no such demonstrations, or the folder
             exists.
     """
     demos, out = read_demos(home(config.dataset)), home(config.out)
@@ -56,9 +55,9 @@ def export(config: LerobotConfig, console: Console | None = None) -> Path:
     if not chosen:
         raise DatasetError(f"{demos.path}: no validation demonstrations to export.")
     _refuse_existing(out)
-    scene = make_task(demos.header.task).scene(demos.header.scene)
-    frames = load_frames(demos, config.resolution, console)
-    data = make_dataset(demos, frames, config.action_space, scene)
+    scene = demos.world
+    pictures = load_pictures(demos, config.resolution, console)
+    data = make_dataset(demos, pictures, config.action_space, scene)
     part = out.with_name(out.name + ".part")
     with exclusive(out, console):
         _refuse_existing(out)
@@ -89,7 +88,7 @@ def _write(
 ) -> None:
     views = [f"view_{v}" for v in range(len(data.windows[chosen[0]]))]
     features = _features(config, data, views)
-    instruction = config.instruction or make_task(demos.header.task).prompt
+    instruction = config.instruction or demos.task.prompt
     total = int(data.lengths[list(chosen)].sum())
     with (
         Writer(root, features, CONTROL_HZ, instruction) as writer,
@@ -152,16 +151,16 @@ def _rows(data: Dataset, demo: int, views: list[str]) -> dict[str, np.ndarray]:
 
 
 def _pictures(data: Dataset, demo: int) -> dict[str, np.ndarray]:
-    """One demonstration's frames, uint8 [T, H, W, 3] by video."""
+    """One demonstration's pictures, uint8 [T, H, W, 3] by video."""
     t = np.arange(data.lengths[demo])
-    views, at = range(len(data.windows[demo])), data.frames.layout.at
+    views, at = range(len(data.windows[demo])), data.pictures.layout.at
     rows = [at(np.array(demo), t, np.array(v)) for v in views]
-    return {f"observation.images.view_{v}": data.frames.pictures[r] for v, r in enumerate(rows)}
+    return {f"observation.images.view_{v}": data.pictures.rgb[r] for v, r in enumerate(rows)}
 
 
 def main(config: LerobotConfig, console: Console) -> None:
     """Runs the command."""
-    out = export(config, console)
+    out = export_dataset(config, console)
     console.print(f"{out}: a LeRobot {VERSION} dataset. Read it with:")
     read = f"LeRobotDataset({out.name!r}, root={str(out)!r})"
     console.print(f"  {read}", soft_wrap=True, markup=False, highlight=False)

@@ -7,7 +7,7 @@ Layout (LeRobot 0.4 to 0.6, `src/lerobot/datasets`)::
     meta/tasks.parquet                          tasks in words, the index of the table
     meta/episodes/chunk-000/file-000.parquet    where each episode's rows and videos are
     data/chunk-000/file-000.parquet             rows of many episodes, a row group each
-    videos/<feature>/chunk-000/file-000.mp4     frames of many episodes, one after another
+    videos/<feature>/chunk-000/file-000.mp4     pictures of many episodes, in a row
 """
 
 import json
@@ -34,7 +34,7 @@ _FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 DATA, VIDEO = f"data/{_FILE}.parquet", f"videos/{{video_key}}/{_FILE}.mp4"
 EPISODES = f"meta/episodes/{_FILE}.parquet"
 CRF, KEY_EVERY = 18, 2
-"""Quality of the videos, and frames from one that stands alone to the next: any frame is decoded
+"""Quality of the videos, and pictures from one that stands alone to the next: any one is decoded
 from at most two, as loaders that draw at random need."""
 QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 
@@ -71,10 +71,10 @@ class Writer:
     """Writes episodes one after another: their rows, their videos, and what finds them again.
 
     Args:
-        root: folder, new.
-        features: description of the columns and videos; LeRobot's own columns are added.
-        fps: frames a second.
-        task: of every episode, in words.
+        root: Folder, new.
+        features: Description of the columns and videos; LeRobot's own columns are added.
+        fps: Pictures a second.
+        task: Of every episode, in words.
     """
 
     def __init__(self, root: Path, features: dict[str, Any], fps: int, task: str) -> None:
@@ -83,7 +83,7 @@ class Writer:
             own[name] = feature("int64", (1,))
         self._root, self._fps, self._task = root, fps, task
         self._features = {**features, **own}
-        self._frames = 0
+        self._length = 0
         self._episodes: list[dict[str, Any]] = []
         self._rows: list[dict[str, np.ndarray]] = []
         self._shades: dict[str, np.ndarray] = {}
@@ -104,8 +104,8 @@ class Writer:
         """Appends an episode.
 
         Args:
-            rows: columns [T, ...].
-            videos: frames, uint8 [T, H, W, 3].
+            rows: Columns [T, ...].
+            videos: Pictures, uint8 [T, H, W, 3].
         """
         length, episode = len(next(iter(rows.values()))), len(self._episodes)
         t = np.arange(length)
@@ -114,31 +114,31 @@ class Writer:
             "timestamp": (t / self._fps).astype(np.float32),
             "frame_index": t,
             "episode_index": np.full(length, episode),
-            "index": self._frames + t,
+            "index": self._length + t,
             "task_index": np.zeros(length, int),
         }
         about = {
             "episode_index": episode,
             "tasks": [self._task],
             "length": length,
-            "dataset_from_index": self._frames,
-            "dataset_to_index": self._frames + length,
+            "dataset_from_index": self._length,
+            "dataset_to_index": self._length + length,
             "meta/episodes/chunk_index": 0,
             "meta/episodes/file_index": 0,
         }
         about |= self._add_rows(rows)
-        for key, frames in videos.items():
-            about |= self._add_frames(key, frames)
+        for key, pictures in videos.items():
+            about |= self._add_pictures(key, pictures)
         stats = {key: stats_of(values) for key, values in rows.items()}
-        for key, frames in videos.items():
-            shades = _shades(frames)
+        for key, pictures in videos.items():
+            shades = _shades(pictures)
             stats[key] = _stats_of_shades(shades, length)
             self._shades[key] = self._shades.get(key, 0) + shades
         for key, by_name in stats.items():
             about |= {f"stats/{key}/{name}": value.tolist() for name, value in by_name.items()}
         self._episodes.append(about)
         self._rows.append(rows)
-        self._frames += length
+        self._length += length
 
     def finish(self, robot_type: str) -> None:
         """Closes all files and writes the metadata."""
@@ -148,14 +148,14 @@ class Writer:
         parquet.write_table(pa.Table.from_pylist(self._episodes), path)
         _write_tasks(self._root / "meta/tasks.parquet", self._task)
         stats = {k: stats_of(np.concatenate([r[k] for r in self._rows])) for k in self._rows[0]}
-        stats |= {k: _stats_of_shades(s, self._frames) for k, s in self._shades.items()}
+        stats |= {k: _stats_of_shades(s, self._length) for k, s in self._shades.items()}
         listed = {k: {n: v.tolist() for n, v in by_name.items()} for k, by_name in stats.items()}
         write_json(self._root / "meta/stats.json", listed)
         info = {
             "codebase_version": VERSION,
             "robot_type": robot_type,
             "total_episodes": len(self._episodes),
-            "total_frames": self._frames,
+            "total_frames": self._length,
             "total_tasks": 1,
             "chunks_size": CHUNK,
             "data_files_size_in_mb": DATA_MB,
@@ -183,28 +183,28 @@ class Writer:
             self._table.close()
             self._table = None
 
-    def _add_frames(self, key: str, frames: np.ndarray) -> dict[str, Any]:
+    def _add_pictures(self, key: str, pictures: np.ndarray) -> dict[str, Any]:
         if key not in self._videos:
             pattern = self._root / VIDEO.replace("{video_key}", key)
             number = self._video_files.setdefault(key, _Numbered(pattern))
             self._videos[key] = VideoFile(
                 number.new_path(),
-                frames.shape[1],
-                frames.shape[2],
+                pictures.shape[1],
+                pictures.shape[2],
                 self._fps,
                 crf=CRF,
                 key_every=KEY_EVERY,
             )
         video, number = self._videos[key], self._video_files[key]
         first = video.length
-        video.add(frames)
+        video.add(pictures)
         if video.part.stat().st_size > VIDEO_MB * 2**20:
             self._videos.pop(key).__exit__(None)
         return {
             f"videos/{key}/chunk_index": number.chunk,
             f"videos/{key}/file_index": number.file,
             f"videos/{key}/from_timestamp": first / self._fps,
-            f"videos/{key}/to_timestamp": (first + len(frames)) / self._fps,
+            f"videos/{key}/to_timestamp": (first + len(pictures)) / self._fps,
         }
 
 
@@ -250,12 +250,12 @@ def stats_of(values: np.ndarray) -> Stats:
     return found | {name: np.quantile(values, q, 0) for name, q in QUANTILES.items()}
 
 
-def _shades(frames: np.ndarray) -> np.ndarray:
+def _shades(pictures: np.ndarray) -> np.ndarray:
     """How often each of 256 values occurs in each channel [3, 256]."""
-    return np.stack([np.bincount(frames[..., c].reshape(-1), minlength=256) for c in range(3)])
+    return np.stack([np.bincount(pictures[..., c].reshape(-1), minlength=256) for c in range(3)])
 
 
-def _stats_of_shades(shades: np.ndarray, frames: int) -> Stats:
+def _stats_of_shades(shades: np.ndarray, count: int) -> Stats:
     """LeRobot's statistics of pictures, in [0, 1] and of shape [3, 1, 1]."""
     levels, total = np.arange(256) / 255, shades.sum(1)
     mean = shades @ levels / total
@@ -268,7 +268,7 @@ def _stats_of_shades(shades: np.ndarray, frames: int) -> Stats:
     }
     below = np.cumsum(shades, 1) / total[:, None]
     found |= {name: levels[(below >= q).argmax(1)] for name, q in QUANTILES.items()}
-    return {k: v.reshape(3, 1, 1) for k, v in found.items()} | {"count": np.array([frames])}
+    return {k: v.reshape(3, 1, 1) for k, v in found.items()} | {"count": np.array([count])}
 
 
 def _write_tasks(path: Path, task: str) -> None:

@@ -26,8 +26,8 @@ SCALINGS = {
 
 
 @dataclass(frozen=True)
-class Layout:
-    """How settings and arrays of one policy are laid out.
+class Counterpart:
+    """One policy of LeRobot's and what it is here.
 
     Attributes:
         title: Of the policy's file of weights, see `jaxcam.models.weights.names`.
@@ -48,8 +48,8 @@ class Layout:
     restore: Callable[[Arrays], Arrays]
 
 
-LAYOUTS = {
-    "act": Layout(
+COUNTERPARTS = {
+    "act": Counterpart(
         title="ACT (LeRobot)",
         prefix="model.",
         same={
@@ -70,7 +70,7 @@ LAYOUTS = {
         scaling={"VISUAL": "MEAN_STD", "STATE": "MEAN_STD", "ACTION": "MEAN_STD"},
         restore=restore_act,
     ),
-    "diffusion": Layout(
+    "diffusion": Counterpart(
         title="Diffusion Policy (LeRobot)",
         prefix="diffusion.",
         same={
@@ -109,19 +109,19 @@ def config_of(settings: Any, spec: PolicySpec, ensemble: float = 0.0) -> dict[st
         CheckpointError: LeRobot's network has no place for it.
     """
     name = next(n for n, family in FAMILIES.items() if family.config is type(settings))
-    layout = LAYOUTS[name]
+    counterpart = COUNTERPARTS[name]
     wrong = [
         f"{key} is {value}, not {wanted}"
-        for key, wanted in layout.ours.items()
+        for key, wanted in counterpart.ours.items()
         if (value := getattr(settings, key)) != wanted
     ]
     wrong += _unequal_sizes(name, settings)
     if wrong:
         raise CheckpointError(
-            f"LeRobot's {layout.title.split(' (')[0]} has no place for this policy: "
+            f"LeRobot's {counterpart.title.split(' (')[0]} has no place for this policy: "
             f"{'; '.join(wrong)}. What it has is --preset lerobot with --conditioning none."
         )
-    same = {theirs: getattr(settings, ours) for theirs, ours in layout.same.items()}
+    same = {theirs: getattr(settings, ours) for theirs, ours in counterpart.same.items()}
     left = spec.chunk - spec.obs_steps + 1
     same["n_action_steps"] = min(settings.execute or left, left)
     if name == "act":
@@ -144,8 +144,8 @@ def config_of(settings: Any, spec: PolicySpec, ensemble: float = 0.0) -> dict[st
         "push_to_hub": False,
         "input_features": views | {STATE: {"type": "STATE", "shape": [spec.proprio_dim]}},
         "output_features": {ACTION: {"type": "ACTION", "shape": [spec.action_dim]}},
-        "normalization_mapping": dict(layout.scaling),
-        **layout.theirs,
+        "normalization_mapping": dict(counterpart.scaling),
+        **counterpart.theirs,
         **same,
     }
 
@@ -176,36 +176,20 @@ def settings_of(config: Mapping[str, Any], image_scaling: str) -> tuple[Any, Pol
         CheckpointError: Our network has no place for it.
     """
     name = config.get("type", "")
-    if name not in LAYOUTS:
-        raise CheckpointError(f"It is of policy '{name}'; {' and '.join(LAYOUTS)} can be read.")
-    layout, inputs = LAYOUTS[name], config["input_features"]
-    wrong = [
-        f"{key} is {config[key]}, not {wanted}"
-        for key, wanted in {**layout.theirs, "normalization_mapping": layout.scaling}.items()
-        if config.get(key, wanted) != wanted
-    ]
+    if name not in COUNTERPARTS:
+        known = " and ".join(COUNTERPARTS)
+        raise CheckpointError(f"It is of policy '{name}'; {known} can be read.")
+    counterpart, inputs = COUNTERPARTS[name], config["input_features"]
     shapes = [tuple(f["shape"]) for f in inputs.values() if f["type"] == "VISUAL"]
+    wrong = _unequal_values(config, counterpart)
     if len(set(shapes)) != 1 or len(inputs) != len(shapes) + 1 or STATE not in inputs:
         wrong.append(f"inputs are {', '.join(inputs)}, not images of one size and {STATE}")
     if wrong:
         raise CheckpointError(f"Our {name} has no place for it: {'; '.join(wrong)}.")
-    same = {ours: config[theirs] for theirs, ours in layout.same.items()}
+    same = {ours: config[theirs] for theirs, ours in counterpart.same.items()}
     same = {k: tuple(v) if isinstance(v, list) else v for k, v in same.items()}
-    if name == "act":
-        same |= {
-            "encoder_width": same["width"],
-            "pad_head": False,
-            "action_std_floor": LEROBOT_STD_FLOOR,
-        }
-    else:
-        same["sample_steps"] = same["sample_steps"] or same["noising_steps"]
-        same |= {
-            "sampler": config["noise_scheduler_type"].lower(),
-            "crop": (config["crop_shape"] or [0])[0],
-            "features": 2 * same["keypoints"],
-            "padding": "zeroed" if config["do_mask_loss_for_padding"] else "counted",
-        }
-    ours = {("twin_of" if k == "network" else k): v for k, v in layout.ours.items()}
+    same |= _act_alone(same) if name == "act" else _diffusion_alone(same, config)
+    ours = {("twin_of" if k == "network" else k): v for k, v in counterpart.ours.items()}
     same["image_scaling"] = image_scaling
     settings = replace(FAMILIES[name].presets["lerobot"], **(ours | same))
     spec = PolicySpec(
@@ -218,3 +202,33 @@ def settings_of(config: Mapping[str, Any], image_scaling: str) -> tuple[Any, Pol
         obs_steps=settings.obs_steps,
     )
     return settings, spec
+
+
+def _unequal_values(config: Mapping[str, Any], counterpart: Counterpart) -> list[str]:
+    """Their settings that have other values than ours can have."""
+    wanted = {**counterpart.theirs, "normalization_mapping": counterpart.scaling}
+    return [
+        f"{key} is {config[key]}, not {value}"
+        for key, value in wanted.items()
+        if config.get(key, value) != value
+    ]
+
+
+def _act_alone(same: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings that only our ACT has, from those that both have."""
+    return {
+        "encoder_width": same["width"],
+        "pad_head": False,
+        "action_std_floor": LEROBOT_STD_FLOOR,
+    }
+
+
+def _diffusion_alone(same: Mapping[str, Any], config: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings that only our Diffusion Policy has, or that it has in other words."""
+    return {
+        "sample_steps": same["sample_steps"] or same["noising_steps"],
+        "sampler": config["noise_scheduler_type"].lower(),
+        "crop": (config["crop_shape"] or [0])[0],
+        "features": 2 * same["keypoints"],
+        "padding": "zeroed" if config["do_mask_loss_for_padding"] else "counted",
+    }

@@ -14,19 +14,16 @@ from typing import Any
 
 import jax
 import numpy as np
-from rich.console import Console
 
-from jaxcam.config.commands import WeightsConfig
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import CheckpointError
-from jaxcam.files.paths import absolute
 from jaxcam.interop.lerobot_layout import (
     ACTION,
+    COUNTERPARTS,
     IMAGE,
-    LAYOUTS,
     SCALINGS,
     STATE,
-    Layout,
+    Counterpart,
     config_of,
     settings_of,
 )
@@ -38,14 +35,14 @@ from jaxcam.models.normalization import (
     proprio_deviation,
     proprio_range,
 )
-from jaxcam.models.weights.load import load, read_weights, record_weights, show, to_torch
+from jaxcam.models.weights.load import load, read_weights, record_weights, to_torch
 from jaxcam.models.weights.names import MAPS
 from jaxcam.models.weights.names_robot import Arrays
 from jaxcam.runs.folder import RunDir
 from jaxcam.runs.identity import resolve
 from jaxcam.sim.actions import action_dim
 from jaxcam.sim.world import PROPRIO_DIM
-from jaxcam.training.checkpoint import Checkpoints, PolicyInputs, load_policy_inputs
+from jaxcam.training.checkpoint import Checkpoints, PolicyInputs
 from jaxcam.training.side import make_side
 from jaxcam.training.state import init_state, make_optimizer
 
@@ -54,7 +51,7 @@ VERSION = "0.4.4"
 STATISTICS = ("mean", "std", "min", "max")
 
 
-def export(inputs: PolicyInputs, out: Path) -> None:
+def export_policy(inputs: PolicyInputs, out: Path) -> None:
     """Write a run's policy as a LeRobot checkpoint.
 
     Args:
@@ -65,13 +62,13 @@ def export(inputs: PolicyInputs, out: Path) -> None:
         CheckpointError: LeRobot's network has no place for this policy, or `out` exists.
     """
     name, spec = inputs.config.policy, PolicySpec(**inputs.spec)
-    if name not in LAYOUTS:
-        raise CheckpointError(f"Only {' and '.join(LAYOUTS)} can be exported, not {name}.")
-    settings, layout = FAMILIES[name].config(**inputs.settings), LAYOUTS[name]
+    if name not in COUNTERPARTS:
+        raise CheckpointError(f"Only {' and '.join(COUNTERPARTS)} can be exported, not {name}.")
+    settings, counterpart = FAMILIES[name].config(**inputs.settings), COUNTERPARTS[name]
     if out.exists():
         raise CheckpointError(f"{out} exists. Choose another folder, or delete it first.")
     config = config_of(settings, spec, inputs.config.ensemble)
-    arrays = _arrays(layout, settings, spec, inputs.params)
+    arrays = _arrays(counterpart, settings, spec, inputs.params)
     scales = _scales(name, settings, spec, inputs.stats)
     part = out.with_name(out.name + ".part")
     shutil.rmtree(part, ignore_errors=True)
@@ -87,21 +84,21 @@ def export(inputs: PolicyInputs, out: Path) -> None:
         raise CheckpointError(f"{part}: {error.strerror or error}. Make room, repeat.") from error
 
 
-def _arrays(layout: Layout, settings: Any, spec: PolicySpec, params: Params) -> Arrays:
+def _arrays(counterpart: Counterpart, settings: Any, spec: PolicySpec, params: Params) -> Arrays:
     """All arrays of their network, constants too."""
-    kind = next(m for m in MAPS if m.title == layout.title)
-    arrays = layout.restore(to_torch(params, kind))
+    kind = next(m for m in MAPS if m.title == counterpart.title)
+    arrays = counterpart.restore(to_torch(params, kind))
     for name, array in arrays.items():
         if name.endswith(("img_feat_input_proj.weight", "pool.nets.weight")):
             arrays[name] = array[..., None, None]  # there a 1x1 convolution
-    if layout.prefix == "model.":
+    if counterpart.prefix == "model.":
         arrays["vae_encoder_pos_enc"] = sine_table(spec.chunk + 2, settings.width)[None]
     sides = (settings.crop,) * 2 if getattr(settings, "crop", 0) else (spec.height, spec.width)
     y, x = (np.linspace(-1, 1, -(-side // 32)) for side in sides)
     for name in [n for n in arrays if n.endswith("pool.nets.weight")]:
         grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2).astype(np.float32)
         arrays[name.replace("nets.weight", "pos_grid")] = grid
-    return {layout.prefix + name: np.ascontiguousarray(x) for name, x in arrays.items()}
+    return {counterpart.prefix + name: np.ascontiguousarray(x) for name, x in arrays.items()}
 
 
 def _scales(name: str, settings: Any, spec: PolicySpec, stats: Mapping[str, np.ndarray]) -> Arrays:
@@ -230,6 +227,8 @@ def _check_fit(folder: Path, config: TrainConfig, spec: PolicySpec) -> None:
 
 
 def _read_json(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        raise CheckpointError(f"{path.parent} is no LeRobot checkpoint: it has no {path.name}.")
     try:
         return json.loads(path.read_text())
     except (OSError, ValueError) as error:
@@ -256,16 +255,3 @@ def _image_scaling(scales: Arrays, images: list[str]) -> str:
         "It scales images by means and deviations of their own. Those of ImageNet (LeRobot's "
         "default), 0.5 and 0.5, or 0 and 1 can be had here."
     )
-
-
-def main(config: WeightsConfig, console: Console) -> None:
-    """Runs `python -m jaxcam.weights`."""
-    if config.export:
-        export(load_policy_inputs(config.source, config.step), absolute(config.export))
-        print(f"{config.export}: a LeRobot {VERSION} checkpoint.")
-    elif config.run_dir:
-        names = {k: getattr(config, k) for k in ("task", "scene", "action_space", "run_dir")}
-        adopt(absolute(config.source), TrainConfig(**names))
-        print(f"{config.run_dir}: a run. Next: python -m jaxcam.evaluate {config.run_dir}")
-    else:
-        show(read_weights(config.source))

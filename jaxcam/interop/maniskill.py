@@ -9,21 +9,22 @@ that of ManiSkill's `RecordEpisode` (mani_skill 3), which the official demonstra
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import cast
 
 import numpy as np
 from rich.console import Console
 
 from jaxcam.config.datasets import ManiskillConfig
 from jaxcam.console.progress import progress
-from jaxcam.data.collection import FIRST_SEED
 from jaxcam.data.demos import Demo, Demos
-from jaxcam.data.replay import GATE, play, tell
+from jaxcam.data.replay import falls_short, play, show_replayed
+from jaxcam.data.splits import FIRST_SEED
 from jaxcam.errors import DatasetError
 from jaxcam.interop.importing import succeeds, write_dataset
 from jaxcam.interop.maniskill_files import open_file, read_demo, read_source, why_failed
-from jaxcam.sim import make_engine, make_task
+from jaxcam.sim import make_engine
 from jaxcam.sim.actions import ACTION_SPACES, controller_of
+from jaxcam.sim.maniskill.task import SapienWorld
 
 ASTRAY = 0.02
 """Distance (m) from where it was recorded at which a replayed object has gone another way."""
@@ -44,16 +45,16 @@ def import_trajectories(config: ManiskillConfig, console: Console | None = None)
     """Turns a trajectory file into a dataset of ours.
 
     Args:
-        config: what to import and how.
-        console: for progress; silent when None.
+        config: What to import and how.
+        console: For progress; silent when None.
 
     Returns:
         The dataset as read back, and what was left out of it.
 
     Raises:
-        DatasetError: if the file is not ManiSkill's, is of another task or robot, has no
+        DatasetError: If the file is not ManiSkill's, is of another task or robot, has no
             environment states, or if the dataset exists.
-        SimError: if this machine cannot run ManiSkill.
+        SimError: If this machine cannot run ManiSkill.
     """
     source = read_source(config)
     source.task.require()
@@ -101,10 +102,10 @@ def run(
     """Imports a file, replays it, and tells of both.
 
     Args:
-        config: what to import and how.
-        spaces: action spaces to replay in.
-        engine: name of the physics engine; the world's own when None.
-        console: to tell on.
+        config: What to import and how.
+        spaces: Action spaces to replay in.
+        engine: Name of the physics engine; the world's own when None.
+        console: To tell on.
 
     Returns:
         Whether each demonstration succeeds in each space, bool [D] by name.
@@ -114,22 +115,21 @@ def run(
     console.print(f"{data.path}: {len(found.names)} of {total} trajectories succeed.")
     for name, why in found.dropped.items():
         console.print(f"{name}: {why}")
-    demos = data.train + data.valid
-    replayed = tell(demos, data.header, spaces, engine, console)
+    replayed = show_replayed(data, spaces, engine, console)
     for space, success in replayed.items():
         for i in np.flatnonzero(~success):
-            console.print(f"{space}, {found.names[i]}: {_why_lost(demos[i], space, data, engine)}")
+            why = _why_lost(data.episodes[i], space, data, engine)
+            console.print(f"{space}, {found.names[i]}: {why}")
     console.print(f"Train on it: python -m jaxcam.train --dataset {data.path}", soft_wrap=True)
     return replayed
 
 
 def _why_lost(demo: Demo, space: str, data: Demos, engine: str | None) -> str:
     """How the replay of a demonstration that fails differs from its states."""
-    task: Any = make_task(data.header.task)
-    scene = task.scene(data.header.scene)
+    task, scene = data.task, cast(SapienWorld, data.world)
     stepped = make_engine(engine or scene.engines[0], scene, controller_of(space), task.varied)
     _, way = play([demo], space, task, scene, stepped)
-    recorded = demo.states[:, 1 : 1 + scene.nq]
+    recorded = demo.qpos
     steps = min(len(way), len(recorded))
     for name in scene.objects:
         at = scene.qpos_of(name)
@@ -146,4 +146,4 @@ def _why_lost(demo: Demo, space: str, data: Demos, engine: str | None) -> str:
 def main(config: ManiskillConfig, console: Console) -> int:
     """Runs the command; its exit code."""
     found = run(config, ACTION_SPACES, None, console)
-    return int(any(success.mean() < GATE for success in found.values()))
+    return int(falls_short(found))

@@ -34,9 +34,9 @@ def grip_targets(mode: str, actions: np.ndarray, joints: np.ndarray) -> Poses:
     """Where each action sends the grip, in the base's frame.
 
     Args:
-        mode: control mode; where it does not say where to go, the ways of the arm do.
+        mode: Control mode; where it does not say where to go, the ways of the arm do.
         actions: [T, A], the gripper last.
-        joints: joint angles (rad) [T + 1, 7] before each action, and after the last one.
+        joints: Joint angles (rad) [T + 1, 7] before each action, and after the last one.
     """
     if SIZES.get(mode) != actions.shape[1]:
         ahead = np.minimum(np.arange(len(actions)) + LEAD, len(actions))

@@ -10,7 +10,6 @@ share::
 """
 
 import json
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,12 +19,14 @@ import numpy as np
 
 from jaxcam.config.datasets import ManiskillConfig
 from jaxcam.data.demos import Demo
+from jaxcam.data.hdf5 import open_hdf5, require_file
 from jaxcam.errors import DatasetError, JaxcamError, closest
 from jaxcam.files.paths import home
 from jaxcam.interop.maniskill_actions import grip_targets, gripper_signs
 from jaxcam.rays.rotations import quaternion_from_matrix, rotvec_from_matrix
 from jaxcam.sim import make_task
 from jaxcam.sim.controllers import CONTROL_HZ
+from jaxcam.sim.engine import Start
 from jaxcam.sim.maniskill import kinematics
 from jaxcam.sim.maniskill.memory import JOINTS
 from jaxcam.sim.maniskill.task import ManiSkillTask, SapienWorld
@@ -51,7 +52,7 @@ SAME = 1e-3
 
 
 @dataclass(frozen=True)
-class Source:
+class TrajectoryFile:
     """A trajectory file and what is known of it."""
 
     path: Path
@@ -63,34 +64,26 @@ class Source:
     """Where the demonstrations come from, for the header."""
 
 
-def is_trajectories(path: Path) -> bool:
-    """Whether a file is HDF5 in ManiSkill's layout."""
-    try:
-        with h5py.File(path, "r") as file:
-            return "data" not in file and any(re.fullmatch(r"traj_\d+", str(name)) for name in file)
-    except OSError:
-        return False
-
-
-def read_source(config: ManiskillConfig) -> Source:
+def read_source(config: ManiskillConfig) -> TrajectoryFile:
     """What a file and the JSON beside it say of themselves.
 
     Raises:
-        DatasetError: if they are missing, not ManiSkill's, or of a task that we have not.
+        DatasetError: If they are missing, not ManiSkill's, or of a task that we have not.
     """
     path = home(config.file)
-    if not path.is_file():
-        raise DatasetError(f"{path}: no such file.")
+    require_file(path)
     about = path.with_suffix(".json")
+    require_file(
+        about,
+        "no such file. ManiSkill writes it beside the trajectories; without it their task is not "
+        "known.",
+    )
     try:
         told = json.loads(about.read_text())
         env, episodes = str(told["env_info"]["env_id"]), list(told["episodes"])
         settings = dict(told["env_info"].get("env_kwargs") or {})
-    except FileNotFoundError as error:
-        raise DatasetError(
-            f"{about}: no such file. ManiSkill writes it beside the trajectories; without it their "
-            "task is not known."
-        ) from error
+    except OSError as error:
+        raise DatasetError(f"{about}: cannot be read: {error.strerror or error}.") from error
     except (KeyError, TypeError, ValueError) as error:
         raise DatasetError(
             f"{about}: not what ManiSkill writes beside trajectories: {error!r}. Expected env_info "
@@ -110,7 +103,7 @@ def read_source(config: ManiskillConfig) -> Source:
         raise DatasetError(f"{about}: no episodes.")
     task: Any = make_task(ENVIRONMENTS[env])
     source = told.get("source_type") or "unknown source"
-    return Source(
+    return TrajectoryFile(
         path, env, task, task.scene(config.scene), episodes, f"{path.name}: {env}, {source}"
     )
 
@@ -119,29 +112,23 @@ def open_file(path: Path) -> h5py.File:
     """Opens the HDF5 file.
 
     Raises:
-        DatasetError: if it cannot be.
+        DatasetError: If it cannot be.
     """
-    try:
-        return h5py.File(path, "r")
-    except OSError as error:
-        raise DatasetError(
-            f"{path}: not an HDF5 file, or damaged or truncated ({path.stat().st_size} bytes; "
-            f"{error}). Download or record it again."
-        ) from error
+    return open_hdf5(path, remedy="Download or record it again.")
 
 
-def read_demo(source: Source, file: h5py.File, name: str, mode: str, seed: int) -> Demo:
+def read_demo(source: TrajectoryFile, file: h5py.File, name: str, mode: str, seed: int) -> Demo:
     """One trajectory as a demonstration, without cameras.
 
     Args:
-        source: the file.
-        file: the same, open.
-        name: of the trajectory.
-        mode: control mode it was recorded in.
-        seed: of the demonstration; fixes where the table is seen.
+        source: The file.
+        file: The same, open.
+        name: Of the trajectory.
+        mode: Control mode it was recorded in.
+        seed: Of the demonstration; fixes where the table is seen.
 
     Raises:
-        DatasetError: if something is missing or wrong; names file and trajectory.
+        DatasetError: If something is missing or wrong; names file and trajectory.
     """
     try:
         group: Any = file[name]
@@ -158,7 +145,9 @@ def read_demo(source: Source, file: h5py.File, name: str, mode: str, seed: int) 
         raise DatasetError(f"{source.path}: {name}: damaged ({error}).") from error
 
 
-def _convert(source: Source, states: Any, actions: np.ndarray, mode: str, seed: int) -> Demo:
+def _convert(
+    source: TrajectoryFile, states: Any, actions: np.ndarray, mode: str, seed: int
+) -> Demo:
     """A recorded episode in our world: T actions and T + 1 states."""
     scene, task = source.scene, source.task
     robot = _robot(states["articulations"])
@@ -181,20 +170,19 @@ def _convert(source: Source, states: Any, actions: np.ndarray, mode: str, seed: 
     position, rotation = _in_world(scene, position, rotation)
     aim, aim_rotation = _in_world(scene, *targets)
     gripper = gripper_signs(actions)
-    return Demo(
+    return Demo.record(
+        Start(qpos[0], np.zeros((0, 3)), fixtures),
         seed=seed,
-        states=np.concatenate([np.arange(len(qpos))[:, None] / CONTROL_HZ, qpos, qvel], 1),
+        qpos=qpos,
+        qvel=qvel,
         actions=np.column_stack([aim, rotvec_from_matrix(aim_rotation), gripper]),
-        eef_pos=position,
-        eef_quat=np.roll(quaternion_from_matrix(rotation), -1, -1),
+        grip_position=position,
+        grip_rotation=rotation,
         gripper=np.concatenate([[-1.0], gripper]),
-        geom_size=np.zeros((0, 3)),
-        fixtures=fixtures,
-        cameras=np.empty(0, int),
     )
 
 
-def why_failed(source: Source, file: Any, name: str) -> str:
+def why_failed(source: TrajectoryFile, file: Any, name: str) -> str:
     """Why a trajectory reaches success in none of its states."""
     flags = file[name].get("success")
     if flags is None or not np.any(flags):

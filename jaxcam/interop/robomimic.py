@@ -17,11 +17,13 @@ import numpy as np
 from rich.console import Console
 
 from jaxcam.config.datasets import RobomimicConfig
+from jaxcam.config.names import TaskName
 from jaxcam.console.progress import progress
-from jaxcam.data.collection import FIRST_SEED
 from jaxcam.data.demos import Demo, Demos
+from jaxcam.data.hdf5 import open_hdf5, whole
 from jaxcam.data.replay import replay_all
-from jaxcam.errors import ConfigError, DatasetError, JaxcamError, closest
+from jaxcam.data.splits import FIRST_SEED
+from jaxcam.errors import ConfigError, DatasetError, closest
 from jaxcam.files.paths import home
 from jaxcam.interop.importing import succeeds, write_dataset
 from jaxcam.interop.robosuite_model import (
@@ -31,13 +33,14 @@ from jaxcam.interop.robosuite_model import (
     read_controller,
     read_origin,
 )
-from jaxcam.rays.rotations import quaternion_from_matrix, rotvec_from_matrix
+from jaxcam.rays.rotations import rotvec_from_matrix
 from jaxcam.sim import make_task
 from jaxcam.sim.controllers import CONTROL_HZ, gripper_command
+from jaxcam.sim.engine import Start
 from jaxcam.sim.mujoco.scene import Scene
 from jaxcam.sim.task import Task
 
-ENVIRONMENTS = {"Lift": "lift", "LiftRand": "lift"}
+ENVIRONMENTS: dict[str, TaskName] = {"Lift": "lift", "LiftRand": "lift"}
 """Our task of each of robosuite's environments that can be replayed."""
 OTHERS = {
     "PickPlaceCan": "its can goes from one bin into another; ours stands on a plain table and goes "
@@ -47,6 +50,8 @@ OTHERS = {
 """Environments that are like one of our tasks, and why their states mean nothing there."""
 STILL = 1e-4
 """Change of the fingers' opening (m) in a control step below which they hold."""
+REMEDY = "Download it again."
+"""What to do with a file that is damaged."""
 LEAD = 4
 """Control steps by which the pose that becomes a command lies ahead where only states are known:
 the controller follows 2 / sqrt(150) s behind, 3.3 steps, so the next step's pose would be late. Of
@@ -54,7 +59,7 @@ the controller follows 2 / sqrt(150) s behind, 3.3 steps, so the next step's pos
 
 
 @dataclass(frozen=True)
-class Source:
+class DemonstrationFile:
     """A robomimic file, open."""
 
     path: Path
@@ -83,20 +88,22 @@ class Source:
             ) from error
         except DatasetError as error:
             raise DatasetError(f"{self.path}: data/{name}: {error}") from error
+        except (OSError, RuntimeError) as error:
+            raise DatasetError(f"{self.path}: data/{name}: damaged ({error}). {REMEDY}") from error
 
 
 def import_demos(config: RobomimicConfig, console: Console | None = None) -> Demos:
     """Turns a robomimic file into a dataset of ours.
 
     Args:
-        config: what to import and how.
-        console: for progress; silent when None.
+        config: What to import and how.
+        console: For progress; silent when None.
 
     Returns:
         The dataset as read back.
 
     Raises:
-        DatasetError: if the file is not robomimic's, is of another task or robot, or if the
+        DatasetError: If the file is not robomimic's, is of another task or robot, or if the
             dataset exists.
     """
     task = make_task(config.task)
@@ -123,34 +130,44 @@ def import_demos(config: RobomimicConfig, console: Console | None = None) -> Dem
             )
 
 
+def task_of(path: Path) -> TaskName:
+    """Our task of a robomimic file; one that the import refuses with the reason if there is none.
+
+    Raises:
+        DatasetError: The file cannot be read.
+    """
+    with open_hdf5(path, remedy=REMEDY) as file, whole(path, REMEDY):
+        name, _ = _environment(path, file)
+    return ENVIRONMENTS.get(name, RobomimicConfig.task)
+
+
 @contextlib.contextmanager
-def _source(config: RobomimicConfig) -> Iterator[Source]:
+def _source(config: RobomimicConfig) -> Iterator[DemonstrationFile]:
     path = home(config.file)
-    if not path.is_file():
-        raise DatasetError(f"{path}: no such file.")
-    try:
-        with h5py.File(path, "r") as file:
-            yield _read_source(path, file, config)
-    except JaxcamError:
-        raise
-    except (OSError, RuntimeError) as error:  # HDF5's library reports damage in both ways
-        raise DatasetError(
-            f"{path}: not an HDF5 file, or damaged or truncated ({path.stat().st_size} bytes; "
-            f"{error}). Download it again."
-        ) from error
+    with open_hdf5(path, remedy=REMEDY) as file:
+        with whole(path, REMEDY):
+            source = _read_source(path, file, config)
+        yield source
 
 
-def _read_source(path: Path, file: h5py.File, config: RobomimicConfig) -> Source:
+def _environment(path: Path, file: h5py.File) -> tuple[str, dict[str, Any]]:
+    """Name of the environment that a file was recorded in, and what env_args says of it."""
     data: Any = file.get("data")
     try:
         env = json.loads(data.attrs["env_args"])
-        name, settings = str(env["env_name"]), dict(env.get("env_kwargs", {}))
+        name, _ = str(env["env_name"]), dict(env.get("env_kwargs", {}))
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise DatasetError(
             f"{path}: not in robomimic's layout: no attribute env_args (JSON) on group data; found "
             f"{sorted(file)}. robosuite's own recordings are turned into it by robomimic's "
             "convert_robosuite.py."
         ) from error
+    return name, env
+
+
+def _read_source(path: Path, file: h5py.File, config: RobomimicConfig) -> DemonstrationFile:
+    name, env = _environment(path, file)
+    settings = dict(env.get("env_kwargs", {}))
     _check_environment(path, name, settings, config.task)
     controller = None
     if config.actions == "commands":
@@ -161,7 +178,7 @@ def _read_source(path: Path, file: h5py.File, config: RobomimicConfig) -> Source
     train, valid = _split(path, file, config)
     version = env.get("env_version", "of unknown version")
     about = f"{path.name}: {name} of robosuite {version}, {config.actions}"
-    return Source(path, file, controller, train, valid, about)
+    return DemonstrationFile(path, file, controller, train, valid, about)
 
 
 def _check_environment(path: Path, name: str, settings: dict[str, Any], task: str) -> None:
@@ -182,25 +199,17 @@ def _check_environment(path: Path, name: str, settings: dict[str, Any], task: st
 
 def _split(path: Path, file: h5py.File, config: RobomimicConfig) -> tuple[list[str], list[str]]:
     """Names of the training and of the validation demonstrations."""
-    data: Any = file["data"]
+    names = _numbered(file)
+    if config.filter_key is not None:
+        members = _members(path, file, config.filter_key)
+        names = [n for n in names if n in members]
     masks: Any = file.get("mask", {})
-    key = config.filter_key
-
-    def members(mask: str) -> set[str]:
-        return {n.decode() if isinstance(n, bytes) else str(n) for n in masks[mask][:]}
-
-    if key is not None and key not in masks:
-        raise DatasetError(f"{path}: no filter key {key!r}{closest(key, masks)}")
-    names = [n for n in data if n.removeprefix("demo_").isdigit()]
-    names = sorted(names, key=lambda n: int(n.removeprefix("demo_")))
-    if key is not None:
-        names = [n for n in names if n in members(key)]
-    held = config.validation
-    if held is None and "valid" in masks:
-        valid = [n for n in names if n in members("valid")]
+    if config.validation is None and "valid" in masks:
+        members = _members(path, file, "valid")
+        valid = [n for n in names if n in members]
     else:
-        count = len(names) // 10 if held is None else held
-        valid = names[len(names) - count :] if count <= len(names) else names
+        count = len(names) // 10 if config.validation is None else config.validation
+        valid = names[max(len(names) - count, 0) :]
     train = [n for n in names if n not in valid]
     if not train:
         raise DatasetError(
@@ -208,6 +217,21 @@ def _split(path: Path, file: h5py.File, config: RobomimicConfig) -> tuple[list[s
             "left to train on. Choose another --filter-key or a smaller --validation."
         )
     return train, valid
+
+
+def _numbered(file: h5py.File) -> list[str]:
+    """Names of the file's demonstrations, by their number."""
+    data: Any = file["data"]
+    names = [name for name in data if name.removeprefix("demo_").isdigit()]
+    return sorted(names, key=lambda name: int(name.removeprefix("demo_")))
+
+
+def _members(path: Path, file: h5py.File, mask: str) -> set[str]:
+    """Names of the demonstrations that an entry of the file's `mask` lists."""
+    masks: Any = file.get("mask", {})
+    if mask not in masks:
+        raise DatasetError(f"{path}: no filter key {mask!r}{closest(mask, masks)}")
+    return {n.decode() if isinstance(n, bytes) else str(n) for n in masks[mask][:]}
 
 
 def _convert(
@@ -232,17 +256,15 @@ def _convert(
     closed = [0.0]
     for sign in gripper:
         closed.append(float(gripper_command(np.array(closed[-1]), sign)))
-    time = np.arange(len(states))[:, None] / CONTROL_HZ
-    return Demo(
+    return Demo.record(
+        Start(qpos[0], origin.geom_size, task.start(scene, seed).fixtures),
         seed=seed,
-        states=np.concatenate([time, qpos, qvel], 1),
+        qpos=qpos,
+        qvel=qvel,
         actions=np.column_stack([targets, gripper]),
-        eef_pos=position,
-        eef_quat=np.roll(quaternion_from_matrix(rotation), -1, -1),
+        grip_position=position,
+        grip_rotation=rotation,
         gripper=np.array(closed),
-        geom_size=origin.geom_size,
-        fixtures=task.start(scene, seed).fixtures,
-        cameras=np.empty(0, int),
     )
 
 
@@ -279,27 +301,24 @@ def success_of(demos: Demos, console: Console | None = None) -> tuple[np.ndarray
     """Whether each demonstration succeeds in its recorded states, and when replayed, bool [D].
 
     Args:
-        demos: an imported dataset.
-        console: for progress; silent when None.
+        demos: An imported dataset.
+        console: For progress; silent when None.
     """
-    task = make_task(demos.header.task)
-    scene = task.scene(demos.header.scene)
-    every = demos.train + demos.valid
-    recorded = np.array([succeeds(demo, task, scene) for demo in every])
-    with progress(console, "replaying", len(every)) as advance:
-        replayed = replay_all(every, task, scene, ("eef_abs",), tick=advance)["eef_abs"]
+    task, world, episodes = demos.task, demos.world, demos.episodes
+    recorded = np.array([succeeds(demo, task, world) for demo in episodes])
+    with progress(console, "replaying", len(episodes)) as advance:
+        replayed = replay_all(episodes, task, world, ("eef_abs",), tick=advance)["eef_abs"]
     return recorded, replayed
 
 
 def main(config: RobomimicConfig, console: Console) -> None:
     """Runs the command."""
     demos = import_demos(config, console)
-    every = demos.train + demos.valid
     recorded, replayed = success_of(demos, console)
     console.print(
         f"{demos.path}: {len(demos.train)} training and {len(demos.valid)} validation "
-        f"demonstrations. {recorded.sum()} of {len(every)} succeed as recorded, {replayed.sum()} "
-        "when their commands are replayed here."
+        f"demonstrations. {recorded.sum()} of {len(recorded)} succeed as recorded, "
+        f"{replayed.sum()} when their commands are replayed here."
     )
     failed = ", ".join(f"demo_{i}" for i in np.flatnonzero(~replayed))
     if failed:

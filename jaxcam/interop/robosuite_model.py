@@ -63,13 +63,13 @@ def read_origin(xml: str, state: np.ndarray, scene: Scene, varied: Sequence[str]
     """Maps a demonstration's own model onto a scene.
 
     Args:
-        xml: its MJCF; the meshes that it names need not exist here.
-        state: one of its states, to hold both models against each other.
-        scene: where it shall be replayed.
-        varied: geoms of the scene whose sizes come from the model.
+        xml: Its MJCF; the meshes that it names need not exist here.
+        state: One of its states, to hold both models against each other.
+        scene: Where it shall be replayed.
+        varied: Geoms of the scene whose sizes come from the model.
 
     Raises:
-        DatasetError: if the model is not one of this scene's robot, joints and table.
+        DatasetError: If the model is not one of this scene's robot, joints and table.
     """
     model = _kinematics_of(xml)
     size = 1 + model.nq + model.nv
@@ -219,10 +219,10 @@ class Controller:
         """Absolute targets (m, rotation vector; the scene's world) [T, 6].
 
         Args:
-            actions: of the arm [T, 6].
-            origin: of the demonstration.
-            position: measured grip site (m; the scene's world) [T, 3].
-            rotation: its axes [T, 3, 3].
+            actions: Of the arm [T, 6].
+            origin: Of the demonstration.
+            position: Measured grip site (m; the scene's world) [T, 3].
+            rotation: Its axes [T, 3, 3].
         """
         frame = origin.world_from_theirs.copy()
         if self.in_base:
@@ -248,7 +248,7 @@ def read_controller(settings: Mapping[str, Any] | Sequence[Any]) -> Controller:
     """Reads `controller_configs` of robosuite 1.4 (one arm's) or 1.5 (of body parts).
 
     Raises:
-        DatasetError: if the actions are no OSC_POSE targets that ours would follow alike.
+        DatasetError: If the actions are no OSC_POSE targets that ours would follow alike.
     """
     part: Any = settings[0] if isinstance(settings, Sequence) and settings else settings
     is_composite = isinstance(part, Mapping) and "body_parts" in part

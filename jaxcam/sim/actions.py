@@ -14,7 +14,6 @@ from jaxcam.data.demos import Demo
 from jaxcam.rays.rotations import (
     Array,
     array_namespace,
-    matrix_from_quaternion,
     matrix_from_rotvec,
     nearest_rotation,
     rotvec_from_matrix,
@@ -79,13 +78,12 @@ def demo_actions(demo: Demo, space: str, scene: World) -> np.ndarray:
     Joint targets are the joints reached after each step (authors' code), led by their velocity
     times the controller's lag, so that the arm is where it was when the gripper was commanded.
     """
-    nq, arm = scene.nq, scene.arm
     gripper = demo.actions[:, -1]
     if is_joint(space):
-        qpos, qvel = demo.states[:, 1 + arm], demo.states[:, 1 + nq + arm]
+        qpos, qvel = demo.qpos[:, scene.arm], demo.qvel[:, scene.arm]
         return encode(space, qpos[1:] + scene.joint_lag * qvel[1:], gripper, qpos[0])
-    rotation = matrix_from_quaternion(np.roll(demo.eef_quat[0], 1))
-    start = np.concatenate([demo.eef_pos[0], rotvec_from_matrix(rotation)])
+    grip = demo.world_from_grip()[0]
+    start = np.concatenate([grip[:3, 3], rotvec_from_matrix(grip[:3, :3])])
     return encode(space, demo.actions[:, :-1], gripper, start)
 
 

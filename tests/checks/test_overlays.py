@@ -55,7 +55,7 @@ def test_moments_are_spread_over_demonstrations_times_and_cameras(demos):
     shown = moments(demos, 4)
     assert [m.row for m in shown] == [0, 1, 3, 5]
     assert [m.camera for m in shown] == [0, 1, 2, 0]
-    episodes = demos.train + demos.valid
+    episodes = demos.episodes
     assert all(0 <= m.t < episodes[m.row].length for m in shown)
     assert len({m.t for m in shown}) == 4
     assert len(moments(demos, 99)) == 6

@@ -8,11 +8,11 @@ import pytest
 from conftest import PIXELS
 
 from jaxcam.checks.pictures import check_caches
-from jaxcam.data.pictures import load_frames
+from jaxcam.data.pictures import load_pictures
 
 
 @pytest.fixture
-def cached(demos, frames, tmp_path):
+def cached(demos, pictures, tmp_path):
     """The dataset and its pictures in a folder of their own, and those pictures to be changed."""
     path = tmp_path / demos.path.name
     shutil.copy(demos.path, path)
@@ -53,7 +53,7 @@ def test_pictures_that_show_something_else(cached, pictures_of, change, cause):
 
 def test_blank_and_frozen_pictures(cached, pictures_of):
     demos, cache, pictures = cached
-    _, second, third = load_frames(demos, PIXELS).layout.first[:3]
+    _, second, third = load_pictures(demos, PIXELS).layout.first[:3]
     pictures[0] = 0
     pictures[second:third] = pictures[second]
     pictures.flush()

@@ -13,8 +13,8 @@ CHUNK = 10
 
 
 @pytest.fixture(scope="module")
-def dataset(demos, frames, scene):
-    return make_dataset(demos, frames, "eef_delta", scene)
+def dataset(demos, pictures, scene):
+    return make_dataset(demos, pictures, "eef_delta", scene)
 
 
 def equal(a, b):
@@ -63,7 +63,7 @@ def test_views_of_a_sample_are_distinct_and_from_its_window(dataset):
     assert set(views.ravel()) == {0, 1, 2}
 
 
-def test_a_batch_holds_what_its_index_names(dataset, demos, frames, scene):
+def test_a_batch_holds_what_its_index_names(dataset, demos, pictures, scene):
     demo, t, views = np.array([3, 0]), np.array([0, 7]), np.array([[2, 0], [1, 2]])
     batch = dataset.batch(demo, t, views, CHUNK)
     expected = {
@@ -79,23 +79,23 @@ def test_a_batch_holds_what_its_index_names(dataset, demos, frames, scene):
         d = demos.train[demo[b]]
         moves = demo_actions(d, "eef_delta", scene)
         np.testing.assert_allclose(batch["action"][b], moves[t[b] : t[b] + CHUNK], atol=1e-6)
-        qpos = d.qpos(demos.header.nq)[t[b]]
+        qpos = d.qpos[t[b]]
         np.testing.assert_allclose(batch["proprio"][b, :7], qpos[:7], atol=1e-6)
         reach = scene.world_from_base @ np.append(batch["proprio"][b, 7:10], 1)
         np.testing.assert_allclose(reach[:3], d.eef_pos[t[b]], atol=1e-6)
         for v in range(2):
-            row = frames.layout.at(demo[b], t[b], views[b, v])
-            np.testing.assert_array_equal(batch["image"][b, v], frames.pictures[row])
+            row = pictures.layout.at(demo[b], t[b], views[b, v])
+            np.testing.assert_array_equal(batch["image"][b, v], pictures.rgb[row])
             world = scene.world_from_base @ batch["base_from_camera"][b, v]
             expected = demos.header.world_from_camera[d.cameras[views[b, v]]]
             np.testing.assert_allclose(world, expected, atol=1e-6)
 
 
 @pytest.mark.parametrize(("views", "obs_steps"), [(1, 1), (2, 3)])
-def test_wanted_frames_are_those_that_batches_hold(dataset, views, obs_steps):
-    rows = np.arange(dataset.frames.layout.total)
+def test_wanted_pictures_are_those_that_batches_hold(dataset, views, obs_steps):
+    rows = np.arange(dataset.pictures.layout.total)
     numbered = np.stack([rows % 256, rows // 256, 0 * rows], -1).astype(np.uint8)[:, None, None]
-    dataset = replace(dataset, frames=replace(dataset.frames, pictures=numbered))
+    dataset = replace(dataset, pictures=replace(dataset.pictures, rgb=numbered))
     sizes = {"views": views, "chunk": CHUNK, "obs_steps": obs_steps}
     made = [dataset.validation(**sizes)]
     for seed in (0, 3):
@@ -119,9 +119,7 @@ def test_what_is_past_the_end_is_masked_and_zero(dataset):
 
 def test_statistics_are_of_the_training_demonstrations(dataset, demos, scene):
     moves = np.concatenate([demo_actions(d, "eef_delta", scene) for d in demos.train])
-    felt = np.concatenate(
-        [scene.proprio(d.qpos(demos.header.nq), d.eef_pos)[:-1] for d in demos.train]
-    )
+    felt = np.concatenate([scene.proprio(d.qpos, d.eef_pos)[:-1] for d in demos.train])
     stats = dataset.stats()
     assert all(v.dtype == np.float32 for v in stats.values())
     expected = {
@@ -137,8 +135,8 @@ def test_statistics_are_of_the_training_demonstrations(dataset, demos, scene):
 
 
 @pytest.mark.parametrize("space", ACTION_SPACES)
-def test_action_spaces_differ_in_actions_alone(space, demos, frames, scene, dataset):
-    other = make_dataset(demos, frames, space, scene)
+def test_action_spaces_differ_in_actions_alone(space, demos, pictures, scene, dataset):
+    other = make_dataset(demos, pictures, space, scene)
     assert other.actions.shape[-1] == action_dim(space)
     np.testing.assert_array_equal(other.proprio, dataset.proprio)
     assert (other.fingerprint == dataset.fingerprint) == (space == "eef_delta")

@@ -8,7 +8,7 @@ import pytest
 from many_cameras import CAMERAS, rotated, scaled, seen_by_many, with_poses
 
 from jaxcam.data.cameras import Fault, camera_faults, require_possible, require_rigid, sights_of
-from jaxcam.data.pictures import load_frames
+from jaxcam.data.pictures import load_pictures
 from jaxcam.errors import CameraError
 from jaxcam.rays import invert, opengl_from_opencv
 from jaxcam.rays.rotations import matrix_from_quaternion, quaternion_from_matrix
@@ -62,7 +62,7 @@ def test_the_papers_cameras_pass(many, demos):
 
 def test_each_camera_is_tried_on_the_grip_of_its_own_demonstrations(demos):
     sights = sights_of(demos)
-    seen = [(demo, int(row)) for demo in demos.train + demos.valid for row in demo.cameras]
+    seen = [(demo, int(row)) for demo in demos.episodes for row in demo.cameras]
     assert sights.rows.tolist() == sorted({row for _, row in seen})
     for row, points in zip(sights.rows, sights.points, strict=True):
         places = np.concatenate([demo.eef_pos for demo, camera in seen if camera == row])
@@ -88,7 +88,7 @@ def test_nothing_is_rendered_for_impossible_cameras(demos, tmp_path):
     poses = opengl_from_opencv(demos.header.world_from_camera)
     spoilt = replace(with_poses(demos, poses), path=tmp_path / "spoilt.hdf5")
     with pytest.raises(CameraError, match="OpenGL"):
-        load_frames(spoilt, 24)
+        load_pictures(spoilt, 24)
     assert not list(tmp_path.iterdir())
 
 

@@ -8,8 +8,8 @@ from rich.console import Console
 
 from jaxcam.config.datasets import CollectConfig
 from jaxcam.data import collection as collect_module
-from jaxcam.data.collection import FIRST_SEED, collect, dataset_path, episode_seeds, run_expert
-from jaxcam.data.pairs import SPLITS
+from jaxcam.data.collection import collect, dataset_path, run_expert
+from jaxcam.data.splits import FIRST_SEED, SPLITS, episode_seeds
 from jaxcam.errors import SimError
 from jaxcam.sim.experts import STEP
 from jaxcam.sim.mujoco.native import NativeEngine
@@ -65,7 +65,7 @@ def test_recorded_states_are_those_of_the_commands(demos, scene):
     """The last state is lifted, the grip moves where it was told, time runs at 20 Hz."""
     cube = scene.qpos_of("cube")
     for demo in demos.train:
-        qpos = demo.qpos(demos.header.nq)
+        qpos = demo.qpos
         assert qpos[-1, cube + 2] > 0.84
         assert demo.gripper[0] == 0
         assert demo.gripper[-1] == 1
@@ -111,7 +111,7 @@ def test_failed_episodes_are_replaced_whatever_was_interrupted(demos, tmp_path, 
                     collect(config)
             assert not dataset_path(config).exists()
         found = collect(config)
-        seeds.append([d.seed - FIRST_SEED for d in found.train + found.valid])
+        seeds.append([d.seed - FIRST_SEED for d in found.episodes])
     assert seeds[0] == [0, 7, 2, 15, 4, 5]
     assert seeds[1] == seeds[0]
 

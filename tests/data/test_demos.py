@@ -32,9 +32,9 @@ LAYOUT = {
 KILLED = """
 import os, signal, sys
 import h5py
-from jaxcam.collect import collect
-from jaxcam.config import CollectConfig
-from jaxcam.demo_writer import DemoWriter
+from jaxcam.config.datasets import CollectConfig
+from jaxcam.data.collection import collect
+from jaxcam.data.writer import DemoWriter
 append, create, count = DemoWriter.append, h5py.Group.create_dataset, 0
 def count_and_append(self, index, demo):
     global count
@@ -71,7 +71,7 @@ def test_layout_is_robomimics(demos):
         assert set(file) == {"data", "cameras", "mask"}
         data = file["data"]
         assert json.loads(data.attrs["env_args"])["env_name"] == "lift"
-        assert data.attrs["total"] == sum(d.length for d in demos.train + demos.valid)
+        assert data.attrs["total"] == sum(d.length for d in demos.episodes)
         train = [name.decode() for name in file["mask/train"]]
         valid = [name.decode() for name in file["mask/valid"]]
         assert train == [f"demo_{i}" for i in range(4)]
@@ -117,8 +117,8 @@ def test_a_killed_collection_ends_as_an_uninterrupted_one(demos, tmp_path):
     assert resumed.fingerprint == demos.fingerprint
     with h5py.File(resumed.path) as file:
         assert file["data/demo_1/states"].id.get_chunk_info(0).byte_offset == kept
-        assert file["data"].attrs["total"] == sum(d.length for d in demos.train + demos.valid)
-    for a, b in zip(resumed.train + resumed.valid, demos.train + demos.valid, strict=True):
+        assert file["data"].attrs["total"] == sum(d.length for d in demos.episodes)
+    for a, b in zip(resumed.episodes, demos.episodes, strict=True):
         np.testing.assert_array_equal(a.eef_pos, b.eef_pos)
         np.testing.assert_array_equal(a.eef_quat, b.eef_quat)
         assert a.seed == b.seed
@@ -205,6 +205,13 @@ def test_what_is_in_the_file_is_checked(copy, spoil, match):
     with h5py.File(copy, "r+") as file:
         spoil(file)
     refused(copy, match)
+
+
+def test_another_seed_of_an_episode_breaks_the_seal(copy):
+    """An attribute has no checksum; whether an episode is the evaluation's is told by its seed."""
+    with h5py.File(copy, "r+") as file:
+        file["data/demo_2"].attrs["seed"] += 1
+    refused(copy, "damaged: its content is not what was written")
 
 
 def test_cut_demonstration(copy):

@@ -1,4 +1,4 @@
-"""The frame cache: made once, resumed, and the picture at an index is the one it names."""
+"""The cache of pictures: made once, resumed, and the picture at an index is the one it names."""
 
 import shutil
 from collections import namedtuple
@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from conftest import PIXELS
 
-from jaxcam.data import pictures as frames_module
-from jaxcam.data.pictures import load_frames
+from jaxcam.data import pictures as pictures_module
+from jaxcam.data.pictures import load_pictures
 from jaxcam.errors import DatasetError, SimError
 from jaxcam.rays import Camera
 from jaxcam.rays.intrinsics import intrinsics
@@ -30,46 +30,46 @@ def pictures_in(demos):
     return sorted(p.name for p in folder.iterdir() if p.suffix != ".lock")
 
 
-def test_cached_pictures_are_fresh_renders_of_state_and_camera(demos, frames, renderer):
-    every = demos.train + demos.valid
-    assert len(frames.pictures) == sum(d.length * len(d.cameras) for d in every)
+def test_cached_pictures_are_fresh_renders_of_state_and_camera(demos, pictures, renderer):
+    every = demos.episodes
+    assert len(pictures.rgb) == sum(d.length * len(d.cameras) for d in every)
     rng = np.random.default_rng(0)
     seen = set()
     for i, demo in enumerate(every):
         t, c = int(rng.integers(demo.length)), int(rng.integers(len(demo.cameras)))
         for t_, c_ in {(t, c), (0, 0), (demo.length - 1, len(demo.cameras) - 1)}:
             view = View(
-                demo.qpos(demos.header.nq)[[t_]],
+                demo.qpos[[t_]],
                 demo.geom_size[None],
                 demo.fixtures[None],
                 intrinsics(45, PIXELS)[None],
                 demos.header.world_from_camera[demo.cameras[c_]][None],
             )
-            row = frames.layout.at(np.array(i), np.array(t_), np.array(c_))
-            np.testing.assert_array_equal(frames.pictures[row], renderer.rgb(view)[0])
+            row = pictures.layout.at(np.array(i), np.array(t_), np.array(c_))
+            np.testing.assert_array_equal(pictures.rgb[row], renderer.rgb(view)[0])
             seen.add(int(row))
-    assert {0, len(frames.pictures) - 1} <= seen
+    assert {0, len(pictures.rgb) - 1} <= seen
 
 
-def test_every_frame_has_one_place(demos, frames):
+def test_every_picture_has_one_place(demos, pictures):
     rows = [
-        frames.layout.at(np.array(i), np.array(t), np.array(c))
-        for i, d in enumerate(demos.train + demos.valid)
+        pictures.layout.at(np.array(i), np.array(t), np.array(c))
+        for i, d in enumeratedemos.episodes
         for t in range(d.length)
         for c in range(len(d.cameras))
     ]
-    assert [int(r) for r in rows] == list(range(len(frames.pictures)))
+    assert [int(r) for r in rows] == list(range(len(pictures.rgb)))
 
 
-def test_a_second_load_renders_nothing(demos, frames, monkeypatch):
-    monkeypatch.setattr(frames_module, "_draw", None)
-    again = load_frames(demos, PIXELS)
-    np.testing.assert_array_equal(again.pictures, frames.pictures)
-    assert not again.pictures.flags.writeable
+def test_a_second_load_renders_nothing(demos, pictures, monkeypatch):
+    monkeypatch.setattr(pictures_module, "_draw", None)
+    again = load_pictures(demos, PIXELS)
+    np.testing.assert_array_equal(again.rgb, pictures.rgb)
+    assert not again.rgb.flags.writeable
 
 
-def test_an_interrupted_rendering_ends_as_an_uninterrupted_one(elsewhere, frames, monkeypatch):
-    draw, rendered = frames_module._draw, []
+def test_an_interrupted_rendering_ends_as_an_uninterrupted_one(elsewhere, pictures, monkeypatch):
+    draw, rendered = pictures_module._draw, []
 
     def dying(*args):
         for pictures in draw(*args):
@@ -78,48 +78,48 @@ def test_an_interrupted_rendering_ends_as_an_uninterrupted_one(elsewhere, frames
                 raise KeyboardInterrupt
             yield pictures
 
-    monkeypatch.setattr(frames_module, "_draw", dying)
+    monkeypatch.setattr(pictures_module, "_draw", dying)
     with pytest.raises(KeyboardInterrupt):
-        load_frames(elsewhere, PIXELS)
+        load_pictures(elsewhere, PIXELS)
     assert not any(name.endswith(".npy") for name in pictures_in(elsewhere))
-    resumed = load_frames(elsewhere, PIXELS)
-    np.testing.assert_array_equal(resumed.pictures, frames.pictures)
+    resumed = load_pictures(elsewhere, PIXELS)
+    np.testing.assert_array_equal(resumed.rgb, pictures.rgb)
     assert len(rendered) == 3 + 4  # two were kept, the third is rendered again
     assert [name.rsplit(".", 1)[1] for name in pictures_in(elsewhere)] == ["npy"]
 
 
-def test_one_process_a_core_renders_the_same(elsewhere, frames, monkeypatch):
-    monkeypatch.setattr(frames_module, "GROUPS_PER_WORKER", 1)
-    monkeypatch.setattr(frames_module.os, "cpu_count", lambda: 2)
-    np.testing.assert_array_equal(load_frames(elsewhere, PIXELS).pictures, frames.pictures)
+def test_one_process_a_core_renders_the_same(elsewhere, pictures, monkeypatch):
+    monkeypatch.setattr(pictures_module, "GROUPS_PER_WORKER", 1)
+    monkeypatch.setattr(pictures_module.os, "cpu_count", lambda: 2)
+    np.testing.assert_array_equal(load_pictures(elsewhere, PIXELS).rgb, pictures.rgb)
 
 
-def test_only_what_is_wanted_is_drawn(elsewhere, frames, monkeypatch):
-    draw, drawn = frames_module._draw, []
+def test_only_what_is_wanted_is_drawn(elsewhere, pictures, monkeypatch):
+    draw, drawn = pictures_module._draw, []
 
     def counting(*args):
         for pictures in draw(*args):
             drawn.append(len(pictures))
             yield pictures
 
-    monkeypatch.setattr(frames_module, "_draw", counting)
-    wanted = np.random.default_rng(0).random(frames.layout.total) < 0.2
-    some = load_frames(elsewhere, PIXELS, wanted=wanted)
-    np.testing.assert_array_equal(some.pictures[wanted], frames.pictures[wanted])
-    assert not some.pictures[~wanted].any()
+    monkeypatch.setattr(pictures_module, "_draw", counting)
+    wanted = np.random.default_rng(0).random(pictures.layout.total) < 0.2
+    some = load_pictures(elsewhere, PIXELS, wanted=wanted)
+    np.testing.assert_array_equal(some.rgb[wanted], pictures.rgb[wanted])
+    assert not some.rgb[~wanted].any()
     assert sum(drawn) == wanted.sum()
-    load_frames(elsewhere, PIXELS, wanted=wanted)
+    load_pictures(elsewhere, PIXELS, wanted=wanted)
     assert sum(drawn) == wanted.sum()
     wanted[[0, -1]] = True
-    more = load_frames(elsewhere, PIXELS, wanted=wanted)
-    np.testing.assert_array_equal(more.pictures[wanted], frames.pictures[wanted])
+    more = load_pictures(elsewhere, PIXELS, wanted=wanted)
+    np.testing.assert_array_equal(more.rgb[wanted], pictures.rgb[wanted])
     assert sum(drawn) == wanted.sum()
     assert not any(name.endswith(".npy") for name in pictures_in(elsewhere))
-    every = load_frames(elsewhere, PIXELS)
-    np.testing.assert_array_equal(every.pictures, frames.pictures)
-    assert sum(drawn) == frames.layout.total
+    every = load_pictures(elsewhere, PIXELS)
+    np.testing.assert_array_equal(every.rgb, pictures.rgb)
+    assert sum(drawn) == pictures.layout.total
     assert [name.rsplit(".", 1)[1] for name in pictures_in(elsewhere)] == ["npy"]
-    np.testing.assert_array_equal(some.pictures, frames.pictures)  # the same file, still open
+    np.testing.assert_array_equal(some.rgb, pictures.rgb)  # the same file, still open
 
 
 def test_no_room_on_the_disk(elsewhere, monkeypatch):
@@ -128,12 +128,12 @@ def test_no_room_on_the_disk(elsewhere, monkeypatch):
         with pytest.raises(
             DatasetError, match=r"pictures need .* GB.*--data-dir or a smaller --res"
         ):
-            load_frames(elsewhere, PIXELS)
+            load_pictures(elsewhere, PIXELS)
     assert pictures_in(elsewhere) == []
 
 
-def test_a_disk_that_fills_up_keeps_what_is_done(elsewhere, frames, monkeypatch):
-    write = frames_module._Part.write
+def test_a_disk_that_fills_up_keeps_what_is_done(elsewhere, pictures, monkeypatch):
+    write = pictures_module._Part.write
 
     def full(self, rows, pictures):
         if self.drawn[: rows[0]].all() and rows[0] > len(self.drawn) // 2:
@@ -141,16 +141,16 @@ def test_a_disk_that_fills_up_keeps_what_is_done(elsewhere, frames, monkeypatch)
         write(self, rows, pictures)
 
     with monkeypatch.context() as patch:
-        patch.setattr(frames_module._Part, "write", full)
+        patch.setattr(pictures_module._Part, "write", full)
         with pytest.raises(DatasetError, match="What is rendered is kept"):
-            load_frames(elsewhere, PIXELS)
-    np.testing.assert_array_equal(load_frames(elsewhere, PIXELS).pictures, frames.pictures)
+            load_pictures(elsewhere, PIXELS)
+    np.testing.assert_array_equal(load_pictures(elsewhere, PIXELS).rgb, pictures.rgb)
 
 
-def test_other_pictures_have_another_cache(demos, frames):
+def test_other_pictures_have_another_cache(demos, pictures):
     before = set(pictures_in(demos))
-    small = load_frames(demos, 16)
-    assert small.pictures.shape[1:] == (16, 16, 3)
+    small = load_pictures(demos, 16)
+    assert small.rgb.shape[1:] == (16, 16, 3)
     (name,) = set(pictures_in(demos)) - before
     for part in (demos.fingerprint, "-16px-", Renderer.identity()):
         assert part in name
@@ -172,14 +172,14 @@ def test_intrinsics_are_of_the_whole_picture():
         (lambda c, x: np.save(c, x / np.float32(255)), "but are float32"),
     ],
 )
-def test_a_cache_that_is_not_what_was_written_is_refused(elsewhere, frames, change, words):
+def test_a_cache_that_is_not_what_was_written_is_refused(elsewhere, pictures, change, words):
     (elsewhere.path.parent / "frames").mkdir()
     name = f"{elsewhere.path.stem}-{elsewhere.fingerprint}-{PIXELS}px-{Renderer.identity()}.npy"
     cache = elsewhere.path.parent / "frames" / name
-    np.save(cache, frames.pictures)
-    change(cache, np.array(frames.pictures))
+    np.save(cache, pictures.rgb)
+    change(cache, np.array(pictures.rgb))
     with pytest.raises(DatasetError, match=words) as error:
-        load_frames(elsewhere, PIXELS)
+        load_pictures(elsewhere, PIXELS)
     assert f"{cache}: " in str(error.value)
     assert "Delete the file; they are drawn anew" in str(error.value)
 
@@ -201,13 +201,13 @@ def black(monkeypatch):
     return break_next
 
 
-def test_black_pictures_are_drawn_by_another_renderer_once(elsewhere, frames, black):
+def test_black_pictures_are_drawn_by_another_renderer_once(elsewhere, pictures, black):
     black(1)
-    np.testing.assert_array_equal(load_frames(elsewhere, PIXELS).pictures, frames.pictures)
+    np.testing.assert_array_equal(load_pictures(elsewhere, PIXELS).rgb, pictures.rgb)
 
 
 def test_pictures_that_stay_black_are_refused(elsewhere, black):
     black(2)
     with pytest.raises(SimError, match="of one colour, and again with another renderer"):
-        load_frames(elsewhere, PIXELS)
+        load_pictures(elsewhere, PIXELS)
     assert not [name for name in pictures_in(elsewhere) if name.endswith(".npy")]

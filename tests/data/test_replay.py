@@ -17,7 +17,7 @@ from jaxcam.sim.mujoco.native import NativeEngine
 @pytest.fixture(scope="module")
 def spoilt(demos, scene):
     """Demonstrations of which the second was given with the cube somewhere else."""
-    every = demos.train + demos.valid
+    every = demos.episodes
     states = every[1].states.copy()
     states[:, 1 + scene.qpos_of("cube")] += 0.1
     return [every[0], replace(every[1], states=states), *every[2:]]

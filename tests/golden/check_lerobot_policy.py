@@ -42,7 +42,7 @@ def make(folder: Path) -> None:
     import jax
 
     from jaxcam.config.train import TrainConfig
-    from jaxcam.interop.lerobot_policy import STATISTICS, export
+    from jaxcam.interop.lerobot_policy import STATISTICS, export_policy
     from jaxcam.models import FAMILIES, PolicySpec, make_policy
     from jaxcam.runs.identity import resolve
     from jaxcam.sim.ensemble import ensemble
@@ -69,7 +69,7 @@ def make(folder: Path) -> None:
         config = TrainConfig(policy=kind, preset="lerobot", views=views, ensemble=rate)
         config = resolve(config, accelerator=False)
         inputs = PolicyInputs(config, asdict(settings), asdict(spec), stats, params, 0)
-        export(inputs, folder / name)
+        export_policy(inputs, folder / name)
         image = rng.integers(0, 256, (STEPS, BATCH, views, 12, 12, 3)).repeat(8, 3).repeat(8, 4)
         proprio = rng.normal(size=(STEPS, BATCH, 11)).astype(np.float32)
         camera = np.broadcast_to(np.eye(4, dtype=np.float32), (BATCH, views, 4, 4))

@@ -24,22 +24,8 @@ STORED = HERE / "house.json"
 RESULTS = HERE.parents[1] / "results/lift"
 NOISE = 1.0
 """Percentage points by which the ends of a bootstrap interval may differ."""
-RUN = [
-    "--demos",
-    "4",
-    "--validation",
-    "1",
-    "--steps",
-    "40",
-    "--batch",
-    "8",
-    "--pairs",
-    "10",
-    "--videos",
-    "0",
-    "--data-dir",
-    "data",
-]
+SIZE = {"demos": 4, "validation": 1, "steps": 40, "batch": 8, "pairs": 10, "videos": 0}
+RUN = [*(f"--{name}={value}" for name, value in SIZE.items()), "--data-dir=data"]
 
 
 def jaxcam(folder: Path, command: str, *flags: str) -> None:

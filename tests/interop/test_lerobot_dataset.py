@@ -20,7 +20,7 @@ from jaxcam.config.datasets import LerobotConfig
 from jaxcam.data.batches import make_dataset
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.interop import lerobot_format
-from jaxcam.interop.lerobot_dataset import export
+from jaxcam.interop.lerobot_dataset import export_dataset
 from jaxcam.interop.lerobot_format import Writer, _column, feature, stats_of, video_feature
 
 PIXELS = 24
@@ -28,14 +28,14 @@ SCALARS = {"timestamp", "frame_index", "episode_index", "index", "task_index"}
 
 
 @pytest.fixture(scope="module")
-def data(demos, frames, lift):
-    return make_dataset(demos, frames, "eef_abs", lift.scene("randomized"))
+def data(demos, pictures, lift):
+    return make_dataset(demos, pictures, "eef_abs", lift.scene("randomized"))
 
 
 @pytest.fixture(scope="module")
-def folder(demos, frames, tmp_path_factory):
+def folder(demos, pictures, tmp_path_factory):
     out = tmp_path_factory.mktemp("lerobot") / "out"
-    return export(config(demos, out))
+    return export_dataset(config(demos, out))
 
 
 def config(demos, out, **settings):
@@ -51,8 +51,8 @@ def episodes(folder):
     return parquet.read_table(folder / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
 
 
-def frames_of(folder, episode, key):
-    """An episode's frames of one video, by the times that its metadata gives."""
+def pictures_of(folder, episode, key):
+    """An episode's pictures in one video, by the times that its metadata gives."""
     info = read_json(folder, "info")
     where = {k: episode[f"videos/{key}/{k}_index"] for k in ("chunk", "file")}
     path = info["video_path"].format(
@@ -114,12 +114,12 @@ def test_rows_are_the_demonstrations(folder, data):
     assert parquet.ParquetFile(folder / path).num_row_groups == data.train
 
 
-def test_videos_are_the_frames(folder, data):
+def test_videos_are_the_pictures(folder, data):
     for e, episode in enumerate(episodes(folder)):
         t = np.arange(data.lengths[e])
         for v in range(3):
-            shown = frames_of(folder, episode, f"observation.images.view_{v}")
-            drawn = data.frames.pictures[data.frames.layout.at(np.array(e), t, np.array(v))]
+            shown = pictures_of(folder, episode, f"observation.images.view_{v}")
+            drawn = data.pictures.rgb[data.pictures.layout.at(np.array(e), t, np.array(v))]
             assert shown.shape == drawn.shape
             error = np.mean((shown.astype(float) - drawn) ** 2, (1, 2, 3))
             others = np.mean((shown.astype(float) - drawn[::-1]) ** 2)
@@ -140,7 +140,7 @@ def test_statistics_are_those_of_all_rows(folder, data):
     drawn = []
     for e in range(data.train):
         t = np.arange(data.lengths[e])
-        drawn.append(data.frames.pictures[data.frames.layout.at(np.array(e), t, np.array(1))])
+        drawn.append(data.pictures.rgb[data.pictures.layout.at(np.array(e), t, np.array(1))])
     pixels = np.concatenate(drawn).reshape(-1, 3) / 255
     picture = stats["observation.images.view_1"]
     assert np.shape(picture["mean"]) == (3, 1, 1)
@@ -164,16 +164,16 @@ def test_metadata_tells_the_cameras(folder, data, demos, lift):
     assert about["source"]["fingerprint"] == demos.fingerprint
 
 
-def test_tasks_are_indexed_by_their_words(folder):
+def test_tasks_are_indexed_by_their_words(folder, lift):
     table = parquet.read_table(folder / "meta/tasks.parquet")
     about = json.loads(table.schema.metadata[b"pandas"])
     assert about["index_columns"] == ["task"]
-    assert table.to_pylist() == [{"task_index": 0, "task": "lift"}]
+    assert table.to_pylist() == [{"task_index": 0, "task": lift.prompt}]
 
 
-def test_validation_joints_and_words(demos, frames, tmp_path):
+def test_validation_joints_and_words(demos, pictures, tmp_path):
     out = tmp_path / "valid"
-    export(
+    export_dataset(
         config(
             demos, out, validation=True, action_space="joint_delta", instruction="Lift the cube."
         )
@@ -185,27 +185,27 @@ def test_validation_joints_and_words(demos, frames, tmp_path):
     assert episodes(out)[0]["tasks"] == ["Lift the cube."]
 
 
-def test_nothing_is_overwritten_and_the_unfinished_is_made_anew(demos, frames, tmp_path):
+def test_nothing_is_overwritten_and_the_unfinished_is_made_anew(demos, pictures, tmp_path):
     out = tmp_path / "out"
     part = tmp_path / "out.part"
     (part / "data").mkdir(parents=True)
     (part / "data" / "old").write_text("of an export that was killed")
-    export(config(demos, out, validation=True))
+    export_dataset(config(demos, out, validation=True))
     assert not part.exists()
     assert not list(out.rglob("old"))
     before = {p: p.stat().st_mtime_ns for p in out.rglob("*")}
     with pytest.raises(DatasetError, match=r"out exists. Choose another folder"):
-        export(config(demos, out))
+        export_dataset(config(demos, out))
     assert {p: p.stat().st_mtime_ns for p in out.rglob("*")} == before
 
 
-def test_full_disk_is_told_and_leaves_no_dataset(demos, frames, tmp_path, monkeypatch):
+def test_full_disk_is_told_and_leaves_no_dataset(demos, pictures, tmp_path, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Writer, "finish", full)
     with pytest.raises(DatasetError, match=r"No space left on device. Make room"):
-        export(config(demos, tmp_path / "out", validation=True))
+        export_dataset(config(demos, tmp_path / "out", validation=True))
     assert not (tmp_path / "out").exists()
 
 
@@ -223,7 +223,7 @@ def test_files_that_grow_too_large_are_followed_by_others(tmp_path, monkeypatch)
     found = [(e["data/chunk_index"], e["data/file_index"]) for e in episodes(tmp_path)]
     assert found == [(0, 0), (0, 1), (1, 0)]
     for episode in episodes(tmp_path):
-        assert frames_of(tmp_path, episode, "v").shape == (5, 16, 16, 3)
+        assert pictures_of(tmp_path, episode, "v").shape == (5, 16, 16, 3)
     assert not list(tmp_path.rglob("*.part"))
 
 
@@ -241,14 +241,14 @@ def test_bad_settings(bad):
         LerobotConfig(dataset="a", out="b", **bad)
 
 
-def test_without_validation_demonstrations(demos, frames, tmp_path, monkeypatch):
+def test_without_validation_demonstrations(demos, pictures, tmp_path, monkeypatch):
     from dataclasses import replace
 
     monkeypatch.setattr(
         "jaxcam.interop.lerobot_dataset.read_demos", lambda _: replace(demos, valid=[])
     )
     with pytest.raises(DatasetError, match="no validation demonstrations"):
-        export(config(demos, tmp_path / "out", validation=True))
+        export_dataset(config(demos, tmp_path / "out", validation=True))
 
 
 def without_pyarrow(*args):

@@ -14,7 +14,7 @@ from jaxcam.config.commands import WeightsConfig
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import CheckpointError
 from jaxcam.interop.lerobot_layout import config_of, settings_of
-from jaxcam.interop.lerobot_policy import STATISTICS, adopt, export
+from jaxcam.interop.lerobot_policy import STATISTICS, adopt, export_policy
 from jaxcam.models import FAMILIES, PolicySpec, make_policy
 from jaxcam.models.conditioning import with_conditioning
 from jaxcam.models.normalization import (
@@ -81,7 +81,7 @@ CASES = [
 @pytest.mark.parametrize(("name", "changes", "views"), CASES)
 def test_there_and_back_it_is_the_same(tmp_path, name, changes, views):
     inputs = inputs_of(settings_for(name, **changes), views, 0.02 if name == "act" else 0.0)
-    export(inputs, tmp_path / "out")
+    export_policy(inputs, tmp_path / "out")
     task = "lift" if views == 1 else "pick_place_can"
     adopt(tmp_path / "out", TrainConfig(task=task, run_dir=str(tmp_path / "run")))
     back = load_policy_inputs(tmp_path / "run")
@@ -110,7 +110,7 @@ def test_settings_there_and_back(name):
 def test_the_original_act_has_a_place_there_but_for_a_head_that_nobody_reads(tmp_path):
     inputs = inputs_of(settings_for("act", preset="original"))
     assert "is_pad" in inputs.params["head"]
-    export(inputs, tmp_path / "out")
+    export_policy(inputs, tmp_path / "out")
     adopt(tmp_path / "out", TrainConfig(run_dir=str(tmp_path / "run")))
     back = load_policy_inputs(tmp_path / "run")
     left = {k: v for k, v in inputs.params["head"].items() if k != "is_pad"}
@@ -129,7 +129,7 @@ def test_the_original_act_has_a_place_there_but_for_a_head_that_nobody_reads(tmp
 ])  # fmt: skip
 def test_what_has_no_place_there_is_told(tmp_path, settings, why):
     with pytest.raises(CheckpointError, match="no place for this policy") as error:
-        export(inputs_of(settings, draw=lambda policy: {}), tmp_path / "out")
+        export_policy(inputs_of(settings, draw=lambda policy: {}), tmp_path / "out")
     assert why in str(error.value)
     assert not list(tmp_path.iterdir())
 
@@ -141,7 +141,7 @@ def edited(folder, **changes):
 
 def test_what_has_no_place_here_is_told(tmp_path):
     out = tmp_path / "out"
-    export(inputs_of(settings_for("act")), out)
+    export_policy(inputs_of(settings_for("act")), out)
     run = TrainConfig(run_dir=str(tmp_path / "run"))
     edited(out, vision_backbone="resnet34")
     with pytest.raises(CheckpointError, match="vision_backbone is resnet34, not resnet18"):
@@ -153,7 +153,7 @@ def test_what_has_no_place_here_is_told(tmp_path):
     with pytest.raises(CheckpointError, match="actions of 7, but lift in joint_abs has 8"):
         adopt(out, replace(run, action_space="joint_abs"))
     with pytest.raises(CheckpointError, match="exists"):
-        export(inputs_of(settings_for("act")), out)
+        export_policy(inputs_of(settings_for("act")), out)
     with pytest.raises(CheckpointError, match="no LeRobot checkpoint"):
         adopt(tmp_path, run)
     assert not (tmp_path / "run").exists()

@@ -14,14 +14,15 @@ from running import exit_code
 
 from jaxcam.checks.examine import examine
 from jaxcam.config.datasets import ManiskillConfig
-from jaxcam.data.collection import FIRST_SEED
 from jaxcam.data.demos import read_demos
-from jaxcam.data.pictures import load_frames
+from jaxcam.data.pictures import load_pictures
+from jaxcam.data.splits import FIRST_SEED
 from jaxcam.errors import DatasetError
+from jaxcam.interop.formats import recognise
 from jaxcam.interop.importing import succeeds
 from jaxcam.interop.maniskill import import_trajectories
 from jaxcam.interop.maniskill_actions import LEAD, SIZES, grip_targets, gripper_signs
-from jaxcam.interop.maniskill_files import is_trajectories, open_file, read_demo, read_source
+from jaxcam.interop.maniskill_files import open_file, read_demo, read_source
 from jaxcam.rays import Camera
 from jaxcam.rays.rotations import matrix_from_quaternion, rotvec_from_matrix
 from jaxcam.sim import make_task
@@ -105,12 +106,12 @@ def test_pictures_are_rendered_from_recorded_states(recorded, tmp_path):
     """One from each camera of the schedule, the cube where the states say it is."""
     demos = imported(recorded, "push", tmp_path / "out.hdf5").demos
     side, demo = 48, demos.train[0]
-    frames = load_frames(demos, side)
+    pictures = load_pictures(demos, side)
     camera = Camera.from_fovy(np.deg2rad(demos.header.fovy_deg), side, side, np.eye(4))
     found = []
     for row in (np.array(0), np.array(demo.length - 1)):
         for slot, pose in enumerate(demos.header.world_from_camera[demo.cameras]):
-            picture = frames.pictures[frames.layout.at(0, row, slot)].astype(int)
+            picture = pictures.rgb[pictures.layout.at(0, row, slot)].astype(int)
             blue = picture[..., 2] - picture[..., :2].max(-1) > 60
             uv, _ = replace(camera, world_from_camera=pose).project(demo.states[row, 10:13])
             if blue.sum() > 8 and (abs(uv - side / 2) < side / 2 - 6).all():
@@ -196,12 +197,12 @@ def test_success_is_our_tasks(tmp_path, done):
 
 
 def test_only_maniskills_files_are_taken_for_its(tmp_path):
-    assert is_trajectories(trajectory(tmp_path))
-    assert not is_trajectories(tmp_path / "made.json")
-    assert not is_trajectories(tmp_path / "missing.h5")
+    assert recognise(trajectory(tmp_path)) == "maniskill"
+    assert recognise(tmp_path / "made.json") == "unknown"
+    assert recognise(tmp_path / "missing.h5") == "unknown"
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file["data/demo_0"] = 1
-    assert not is_trajectories(tmp_path / "other.h5")
+    assert recognise(tmp_path / "other.h5") == "unknown"
 
 
 def test_actions_that_are_no_targets_give_way_to_the_way_of_the_arm():
@@ -251,7 +252,7 @@ def of_two_robots(path):
     [
         (untold, {}, r"made.json: no such file.*task is not known"),
         (mistold, {}, "not what ManiSkill writes beside trajectories.*env_id"),
-        (cut, {}, "made.h5: not an HDF5 file, or damaged or truncated .3000 bytes"),
+        (cut, {}, "made.h5: damaged or truncated .3000 bytes"),
         (without("traj_0/env_states"), {}, "traj_0: .*env_states.*record_env_state"),
         (without("traj_0"), {}, "traj_0: .*all trajectories of the .json"),
         (without("traj_0/env_states/actors/cube"), {}, "traj_0: .*cube"),

@@ -15,7 +15,8 @@ from places import GOLDEN
 from jaxcam.checks.examine import examine
 from jaxcam.config.datasets import RobomimicConfig
 from jaxcam.config.train import TrainConfig
-from jaxcam.data.pictures import Frames
+from jaxcam.data.demos import starts_of
+from jaxcam.data.pictures import Pictures
 from jaxcam.data.samples import Layout
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.interop.robomimic import import_demos, success_of
@@ -24,7 +25,7 @@ from jaxcam.pipeline import like_its_dataset, train, training_data
 from jaxcam.rays.rotations import matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.runs.identity import resolve
 from jaxcam.sim.actions import encode
-from jaxcam.sim.engine import Command, Start
+from jaxcam.sim.engine import Command
 from jaxcam.sim.mujoco.native import NativeEngine
 
 VERSIONS = ("1.4", "1.5")
@@ -83,9 +84,7 @@ def test_replayed_commands_go_the_recorded_way(lift, files, version):
     for demo in imported(files[version]).train:
         scene = lift.scene("randomized")
         engine = NativeEngine(scene, varied=lift.varied)
-        nq = scene.physics.nq
-        start = Start(demo.states[:1, 1 : 1 + nq], demo.geom_size[None], demo.fixtures[None])
-        state = engine.reset(start)
+        state = engine.reset(starts_of([demo]))
         apart = []
         for action, there in zip(demo.actions, demo.eef_pos[1:], strict=True):
             state = engine.step(state, Command(action[None, :6], action[None, 6]))
@@ -286,7 +285,7 @@ def test_files_that_are_none(tmp_path, files):
     with pytest.raises(DatasetError, match="no such file"):
         imported(path)
     path.write_bytes(b"<html>not found</html>")
-    with pytest.raises(DatasetError, match="not an HDF5 file, or damaged"):
+    with pytest.raises(DatasetError, match="not an HDF5 file; it starts with"):
         imported(path)
     path.write_bytes(files["1.5"].read_bytes()[:20_000])
     with pytest.raises(DatasetError, match=r"damaged or truncated \(20000 bytes"):
@@ -335,10 +334,10 @@ def test_training_takes_a_dataset_and_its_numbers(tmp_path, files, monkeypatch):
     assert (like.demos, like.validation, like.n, like.m) == (1, 1, 2, 2)
     layout = Layout.of(demos)
     total = layout.total
-    black = Frames(np.zeros((total, 16, 16, 3), np.uint8), layout, np.ones(total, bool))
-    monkeypatch.setattr("jaxcam.pipeline.load_frames", lambda *_: black)
+    black = Pictures(np.zeros((total, 16, 16, 3), np.uint8), layout, np.ones(total, bool))
+    monkeypatch.setattr("jaxcam.pipeline.load_pictures", lambda *_: black)
     data = training_data([resolve(like, accelerator=False)], None)
-    assert data.lengths.tolist() == [d.length for d in demos.train + demos.valid]
+    assert data.lengths.tolist() == [d.length for d in demos.episodes]
     assert [len(w) for w in data.windows] == [2, 1]
     assert demos.fingerprint in data.fingerprint
     with pytest.raises(ConfigError, match=r"demos is 1 in .* but 7 was asked. Leave --demos out"):

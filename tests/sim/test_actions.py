@@ -120,7 +120,7 @@ def test_encode_leaves_its_input_alone():
 
 @pytest.mark.parametrize("space", ACTION_SPACES)
 def test_collected_demonstrations_replay_in_every_space(space, lift, scene, renderer, demos):
-    every = demos.train + demos.valid
+    every = demos.episodes
     chunk = 16
     moves = []
     for demo in every:
@@ -134,7 +134,7 @@ def test_collected_demonstrations_replay_in_every_space(space, lift, scene, rend
     moves = np.stack(moves)
     engine = NativeEngine(scene, controller_of(space), varied=lift.varied)
     start = starts(lift, scene, [d.seed for d in every])
-    np.testing.assert_array_equal(start.qpos, [d.qpos(demos.header.nq)[0] for d in every])
+    np.testing.assert_array_equal(start.qpos, [d.qpos[0] for d in every])
     count = len(every)
     done = rollout(
         lambda obs, call: moves[:, call * chunk : (call + 1) * chunk],

@@ -47,7 +47,7 @@ def test_set_points_move_and_turn_by_small_steps(shown):
 def test_what_is_placed_stands_where_it_belongs(shown):
     task, scene, demos = shown
     for demo in filter(None, demos):
-        qpos = demo.qpos(scene.physics.nq)[-1]
+        qpos = demo.qpos[-1]
         if task.name == "pick_place_can":
             at = scene.qpos_of("can")
             assert np.linalg.norm(qpos[at : at + 2] - demo.fixtures[2, :2]) < NEAR / 2

@@ -8,13 +8,14 @@ import pytest
 from jax.tree_util import Partial
 from mujoco.mjx import forward as warp_forward
 
+from jaxcam.data.demos import starts_of
 from jaxcam.errors import ConfigError, SimError
 from jaxcam.rays import sample_poses
 from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.rays.rotations import array_namespace, matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.sim import engine_name, make_engine
 from jaxcam.sim.actions import decode, demo_actions, measured
-from jaxcam.sim.engine import Command, OpenLoop, Start
+from jaxcam.sim.engine import Command, OpenLoop
 from jaxcam.sim.mujoco import mjx
 from jaxcam.sim.mujoco.mjx import MjxEngine
 from jaxcam.sim.mujoco.mjx_model import check_pairs
@@ -258,12 +259,7 @@ def test_jax_refuses_pairs_by_name():
 
 def replayed(engine, demos, lift, scene, extra=0):
     """Expert demonstrations' commands, the last one kept for `extra` steps more."""
-    nq = scene.physics.nq
-    start = Start(
-        np.stack([d.states[0, 1 : 1 + nq] for d in demos]),
-        np.stack([d.geom_size for d in demos]),
-        np.stack([d.fixtures for d in demos]),
-    )
+    start = starts_of(demos)
     moves = np.zeros((len(demos), max(d.length for d in demos) + extra, 7))
     moves[..., -1] = 1
     for row, demo in zip(moves, demos, strict=True):
@@ -288,7 +284,7 @@ def test_a_held_cube_does_not_creep_out_of_the_grasp(demos, lift, scene):
 
 @pytest.mark.slow
 def test_demonstrations_succeed_as_on_the_native_engine(demos, lift, scene):
-    every = demos.train + demos.valid
+    every = demos.episodes
     outcomes = []
     for engine in (NativeEngine(scene, varied=lift.varied), MjxEngine(scene, varied=lift.varied)):
         start, commands = replayed(engine, every, lift, scene)

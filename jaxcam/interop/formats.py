@@ -1,0 +1,44 @@
+"""Demonstrations in whatever format they come: ours, robomimic's or ManiSkill's."""
+
+from pathlib import Path
+
+from rich.console import Console
+
+from jaxcam.config.datasets import ManiskillConfig, RobomimicConfig
+from jaxcam.data.demos import REMEDY, Demos, read_demos
+from jaxcam.data.hdf5 import Format, format_of, open_hdf5, whole
+from jaxcam.errors import DatasetError
+from jaxcam.interop import maniskill, robomimic
+
+
+def recognise(path: Path) -> Format:
+    """Whose layout a file has; "unknown" too if it cannot be opened: `read` says why."""
+    try:
+        with open_hdf5(path, remedy=REMEDY) as file, whole(path, REMEDY):
+            return format_of(file)
+    except DatasetError:
+        return "unknown"
+
+
+def read(path: Path, out: Path | None = None, console: Console | None = None) -> Demos:
+    """Demonstrations of a file; those of others become a dataset of ours, with the usual settings.
+
+    Args:
+        path: Of the file.
+        out: Dataset that others' demonstrations are written to; None is the importers' own choice.
+        console: For progress; silent when None.
+
+    Raises:
+        DatasetError: It cannot be opened, is damaged, in no format that is known, or cannot be
+            replayed in our tasks; or the dataset exists.
+        SimError: This machine cannot run the simulator that an import needs.
+    """
+    written = str(out) if out else None
+    match recognise(path):
+        case "maniskill":
+            theirs = ManiskillConfig(str(path), out=written)
+            return maniskill.import_trajectories(theirs, console).demos
+        case "robomimic":
+            theirs = RobomimicConfig(str(path), task=robomimic.task_of(path), out=written)
+            return robomimic.import_demos(theirs, console)
+    return read_demos(path)

@@ -1,0 +1,23 @@
+"""`python -m jaxcam.weights FILE|RUN`: what a file of weights holds; LeRobot's policies."""
+
+from rich.console import Console
+
+from jaxcam.config.commands import WeightsConfig
+from jaxcam.config.train import TrainConfig
+from jaxcam.files.paths import absolute
+from jaxcam.interop.lerobot_policy import VERSION, adopt, export_policy
+from jaxcam.models.weights.load import read_weights, show
+from jaxcam.training.checkpoint import load_policy_inputs
+
+
+def main(config: WeightsConfig, console: Console) -> None:
+    """Runs `python -m jaxcam.weights`."""
+    if config.export:
+        export_policy(load_policy_inputs(config.source, config.step), absolute(config.export))
+        print(f"{config.export}: a LeRobot {VERSION} checkpoint.")
+    elif config.run_dir:
+        names = {k: getattr(config, k) for k in ("task", "scene", "action_space", "run_dir")}
+        adopt(absolute(config.source), TrainConfig(**names))
+        print(f"{config.run_dir}: a run. Next: python -m jaxcam.evaluate {config.run_dir}")
+    else:
+        show(read_weights(config.source))
