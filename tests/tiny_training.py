@@ -109,7 +109,7 @@ class PairsEvaluator:
 
     def pairs(self, split, numbers):
         from jaxcam.data.pairs import Pairs
-        from jaxcam.sim.task import Start
+        from jaxcam.sim.types import Start
 
         column = np.array(numbers, float)[:, None]
         return Pairs([*numbers], column, Start(*[column] * len(Start._fields)))

@@ -118,8 +118,9 @@ def _maniskill() -> Finding:
     try:
         task.require()
         from jaxcam.sim.maniskill.pool import pool_of
+        from jaxcam.sim.maniskill.scene import scene_of
 
-        about = pool_of(task.scene("fixed")).about
+        about = pool_of(scene_of(task, "fixed")).about
     except SimError as error:
         return Finding("ManiSkill tasks", "note", str(error).splitlines()[0])
     steps = f"{about['control_hz']:g} control steps a second"

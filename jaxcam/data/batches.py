@@ -15,7 +15,8 @@ from jaxcam.data.demos import Demo, Demos
 from jaxcam.data.pictures import Frames, intrinsics
 from jaxcam.data.samples import Samples, history
 from jaxcam.rays import invert
-from jaxcam.sim.actions import demo_actions
+from jaxcam.rays.rotations import matrix_from_quaternion, rotvec_from_matrix
+from jaxcam.sim.actions import encode, is_joint
 from jaxcam.sim.world import World
 
 Batch = dict[str, Any]
@@ -147,6 +148,22 @@ def make_dataset(
         train=len(demos.train),
         fingerprint=f"{demos.fingerprint}-{pixels}px-{space}",
     )
+
+
+def demo_actions(demo: Demo, space: str, scene: World) -> np.ndarray:
+    """A demonstration's commands as actions [T, A] of a space.
+
+    Joint targets are the joints reached after each step (authors' code), led by their velocity
+    times the controller's lag, so that the arm is where it was when the gripper was commanded.
+    """
+    nq, arm = scene.nq, scene.arm
+    gripper = demo.actions[:, -1]
+    if is_joint(space):
+        qpos, qvel = demo.states[:, 1 + arm], demo.states[:, 1 + nq + arm]
+        return encode(space, qpos[1:] + scene.joint_lag * qvel[1:], gripper, qpos[0])
+    rotation = matrix_from_quaternion(np.roll(demo.eef_quat[0], 1))
+    start = np.concatenate([demo.eef_pos[0], rotvec_from_matrix(rotation)])
+    return encode(space, demo.actions[:, :-1], gripper, start)
 
 
 def _keyframes(demo: Demo, scene: World) -> np.ndarray:

@@ -17,7 +17,8 @@ import numpy as np
 from jaxcam.errors import DatasetError
 from jaxcam.files.jsonl import write_atomically
 from jaxcam.rays import sample_poses
-from jaxcam.sim.task import Start, Task, starts
+from jaxcam.sim.task import Task, starts
+from jaxcam.sim.types import Start
 from jaxcam.sim.world import World
 
 SPLITS = {"test": (1_000_000, 23), "validation": (2_000_000, 5)}

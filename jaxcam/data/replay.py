@@ -13,12 +13,14 @@ from rich.table import Table
 
 from jaxcam.config.datasets import ManiskillConfig, ReplayConfig
 from jaxcam.console.progress import progress
+from jaxcam.data.batches import demo_actions
 from jaxcam.data.demos import Demo, Header, read_demos
 from jaxcam.interop.maniskill_files import is_trajectories
 from jaxcam.sim import make_engine, make_task
-from jaxcam.sim.actions import ACTION_SPACES, controller_of, decode, demo_actions, measured
-from jaxcam.sim.engine import Command, Engine, OpenLoop, Start
+from jaxcam.sim.actions import ACTION_SPACES, controller_of, decode, measured
+from jaxcam.sim.engine import Engine, OpenLoop
 from jaxcam.sim.task import Task
+from jaxcam.sim.types import Command, Start
 from jaxcam.sim.world import World
 
 GATE = 0.99
@@ -61,7 +63,7 @@ def play(
     actions = [_held(demo_actions(d, space, scene), space, max(lengths)) for d in demos]
     anchor = measured(space, engine.reset(start), scene.arm)
     command = Command(*decode(space, np.stack(actions), anchor))
-    progress, way = engine.run(OPEN_LOOP, command, start, task.success, max(lengths))
+    progress, way = engine.run(OPEN_LOOP, command, start, task.success_in(scene), max(lengths))
     success = np.asarray(progress.success) & (np.asarray(progress.steps) <= lengths)
     return success, np.asarray(way)
 
@@ -98,9 +100,7 @@ def replay_all(
     for space in spaces:
         controller = controller_of(space)
         if controller not in engines:
-            engines[controller] = make_engine(
-                engine or scene.engines[0], scene, controller, task.varied
-            )
+            engines[controller] = make_engine(engine, scene, controller, task.varied)
         parts = []
         for i in range(0, len(demos), BATCH):
             batch = demos[i : i + BATCH]

@@ -15,10 +15,10 @@ from jaxcam.data.pictures import intrinsics
 from jaxcam.devices import copied, data_mesh, spread
 from jaxcam.models import Policy
 from jaxcam.rays import Camera, spherical
-from jaxcam.sim import engine_name, make_engine, make_task
+from jaxcam.sim import engine_name, make_engine, make_painter, make_task
 from jaxcam.sim.actions import controller_of
 from jaxcam.sim.rollout import Rollouts, rollout
-from jaxcam.sim.world import View
+from jaxcam.sim.types import View
 
 VIDEO_PIXELS = 160
 VIDEO_STRIDE = 2
@@ -54,7 +54,7 @@ class Evaluator:
         varied = self.task.varied
         controller = controller_of(config.action_space)
         self.engine = make_engine(self.engine_name, self.scene, controller, varied)
-        self.renderer = self.scene.painter(config.resolution, varied=varied)
+        self.renderer = make_painter(self.scene, config.resolution, varied=varied)
 
     def run(
         self,
@@ -126,7 +126,7 @@ class Evaluator:
                 "elevation_deg": float(np.rad2deg(elevation[i])),
                 "distance": float(distance[i]),
                 "camera": cameras[i].tolist(),
-                "renderer": self.scene.look,
+                "renderer": self.renderer.look(),
                 "engine": self.engine_name,
                 "ensemble": self.ensemble,
                 "width": self.width,
@@ -147,7 +147,7 @@ class Evaluator:
         """Videos of rollouts as their first camera saw them, uint8 [T, H, W, 3] each."""
         task = self.task
         _, cameras, start = self.pairs(split, pairs)
-        renderer = self.scene.painter(VIDEO_PIXELS, varied=task.varied)
+        renderer = make_painter(self.scene, VIDEO_PIXELS, varied=task.varied)
         K = intrinsics(task.fovy_deg, VIDEO_PIXELS)
         clips = []
         for i in range(len(pairs)):

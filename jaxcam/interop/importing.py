@@ -15,8 +15,8 @@ from jaxcam.errors import DatasetError
 from jaxcam.files.locks import exclusive
 from jaxcam.rays.rotations import matrix_from_quaternion
 from jaxcam.runs.identity import with_task
-from jaxcam.sim.engine import Start, State
 from jaxcam.sim.task import Task
+from jaxcam.sim.types import Start, State
 from jaxcam.sim.world import World
 
 

@@ -127,7 +127,7 @@ def _why_lost(demo: Demo, space: str, data: Demos, engine: str | None) -> str:
     """How the replay of a demonstration that fails differs from its states."""
     task: Any = make_task(data.header.task)
     scene = task.scene(data.header.scene)
-    stepped = make_engine(engine or scene.engines[0], scene, controller_of(space), task.varied)
+    stepped = make_engine(engine, scene, controller_of(space), task.varied)
     _, way = play([demo], space, task, scene, stepped)
     recorded = demo.states[:, 1 : 1 + scene.nq]
     steps = min(len(way), len(recorded))

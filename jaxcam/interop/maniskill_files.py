@@ -27,7 +27,8 @@ from jaxcam.sim import make_task
 from jaxcam.sim.controllers import CONTROL_HZ
 from jaxcam.sim.maniskill import kinematics
 from jaxcam.sim.maniskill.memory import JOINTS
-from jaxcam.sim.maniskill.task import ManiSkillTask, SapienWorld
+from jaxcam.sim.maniskill.scene import SapienWorld
+from jaxcam.sim.maniskill.task import ManiSkillTask
 
 ENVIRONMENTS = {
     "PushCube-v1": "push",

@@ -10,17 +10,14 @@ authors' code does; near half a turn its deltas jump by up to a whole turn.
 
 import numpy as np
 
-from jaxcam.data.demos import Demo
 from jaxcam.rays.rotations import (
     Array,
     array_namespace,
-    matrix_from_quaternion,
     matrix_from_rotvec,
     nearest_rotation,
     rotvec_from_matrix,
 )
-from jaxcam.sim.engine import ControllerName, State
-from jaxcam.sim.world import World
+from jaxcam.sim.types import ControllerName, State
 
 ACTION_SPACES = ("eef_delta", "eef_abs", "joint_delta", "joint_abs")
 """The paper's four; the authors' component-wise differencing is a fifth, to reproduce them."""
@@ -71,22 +68,6 @@ def encode(space: str, targets: np.ndarray, gripper: np.ndarray, start: np.ndarr
             earlier = matrix_from_rotvec(before[:, 3:])
             moves[:, 3:] = rotvec_from_matrix(rotations @ earlier.swapaxes(-1, -2))
     return np.concatenate([moves, gripper[:, None]], -1)
-
-
-def demo_actions(demo: Demo, space: str, scene: World) -> np.ndarray:
-    """A demonstration's commands as actions [T, A] of a space.
-
-    Joint targets are the joints reached after each step (authors' code), led by their velocity
-    times the controller's lag, so that the arm is where it was when the gripper was commanded.
-    """
-    nq, arm = scene.nq, scene.arm
-    gripper = demo.actions[:, -1]
-    if is_joint(space):
-        qpos, qvel = demo.states[:, 1 + arm], demo.states[:, 1 + nq + arm]
-        return encode(space, qpos[1:] + scene.joint_lag * qvel[1:], gripper, qpos[0])
-    rotation = matrix_from_quaternion(np.roll(demo.eef_quat[0], 1))
-    start = np.concatenate([demo.eef_pos[0], rotvec_from_matrix(rotation)])
-    return encode(space, demo.actions[:, :-1], gripper, start)
 
 
 def decode(space: str, actions: Array, anchor: Array) -> tuple[Array, Array]:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxcam.rays.rotations import Array, array_namespace, matrix_from_rotvec
-from jaxcam.sim.engine import ControllerName
+from jaxcam.sim.types import ControllerName
 
 CONTROL_HZ = 20
 """Control steps per second (paper, and robosuite's default)."""
@@ -116,7 +116,7 @@ def goal(controller: ControllerName, target: Array, rest: Array) -> tuple[Array,
 
     Args:
         controller: its name.
-        target: of the command (`jaxcam.sim.engine.Command`).
+        target: of the command (`jaxcam.sim.types.Command`).
         rest: joint angles (rad) [..., 7] that OSC's null space is pulled to.
     """
     if controller == "joint_position":

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from jaxcam.rays.rotations import matrix_from_rotvec, rotvec_from_matrix
-from jaxcam.sim.task import Aim, Sight
+from jaxcam.sim.types import Aim, Sight
 
 OPEN, CLOSE = -1.0, 1.0
 STEP = 0.02

@@ -15,10 +15,12 @@ import numpy as np
 from jaxcam.rays import invert
 from jaxcam.rays.rotations import Array, array_namespace
 from jaxcam.sim.actions import averageable, averaged, decode, measured
-from jaxcam.sim.engine import Command, Engine, Play, Progress, Start, State
+from jaxcam.sim.engine import Engine, Play, Progress
 from jaxcam.sim.ensemble import ensemble
+from jaxcam.sim.painter import Painter
 from jaxcam.sim.task import Task
-from jaxcam.sim.world import Painter, View, World
+from jaxcam.sim.types import Command, Start, State, View
+from jaxcam.sim.world import World
 
 Act = Callable[[dict[str, np.ndarray], int], np.ndarray]
 """`act(obs, call)`: observations of all episodes and number of the call, to chunks [B, T, A]. MJX
@@ -84,7 +86,9 @@ def rollout(
         world_from_camera=world_from_camera,
         base_from_camera=(invert(scene.world_from_base) @ world_from_camera).astype(np.float32),
     )
-    progress, trace = engine.run(turn, inputs, start, task.success, task.horizon, alive, tick)
+    progress, trace = engine.run(
+        turn, inputs, start, task.success_in(scene), task.horizon, alive, tick
+    )
     return Rollouts(
         success=np.asarray(progress.success),
         steps=np.asarray(progress.steps),

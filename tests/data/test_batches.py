@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxcam.data.batches import STD_FLOOR, make_dataset, stacked_batches
-from jaxcam.sim.actions import ACTION_SPACES, action_dim, demo_actions
+from jaxcam.data.batches import STD_FLOOR, demo_actions, make_dataset, stacked_batches
+from jaxcam.sim.actions import ACTION_SPACES, action_dim
 
 CHUNK = 10
 

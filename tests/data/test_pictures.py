@@ -11,7 +11,8 @@ from jaxcam.data import pictures as frames_module
 from jaxcam.data.pictures import intrinsics, load_frames
 from jaxcam.errors import DatasetError
 from jaxcam.rays import Camera
-from jaxcam.sim.mujoco.render import Renderer, View
+from jaxcam.sim.mujoco.render import Renderer
+from jaxcam.sim.types import View
 
 Usage = namedtuple("Usage", "total used free")
 
@@ -151,7 +152,7 @@ def test_other_pictures_have_another_cache(demos, frames):
     small = load_frames(demos, 16)
     assert small.pictures.shape[1:] == (16, 16, 3)
     (name,) = set(pictures_in(demos)) - before
-    for part in (demos.fingerprint, "-16px-", Renderer.identity()):
+    for part in (demos.fingerprint, "-16px-", Renderer.look()):
         assert part in name
 
 

@@ -13,7 +13,7 @@ from jaxcam.evaluation.run import _steps, evaluate
 from jaxcam.files.jsonl import append_jsonl, read_jsonl
 from jaxcam.results.protocol import ATTEMPTS, Protocol, counted, lacks, protocol_of
 from jaxcam.sim.rollout import Rollouts
-from jaxcam.sim.task import Start
+from jaxcam.sim.types import Start
 
 
 class FlakyEvaluator:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from jaxcam.config.presets import NAMES
+from jaxcam.data.batches import demo_actions
 from jaxcam.data.pictures import intrinsics
 from jaxcam.rays.rotations import matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.sim.actions import (
@@ -13,7 +14,6 @@ from jaxcam.sim.actions import (
     action_dim,
     controller_of,
     decode,
-    demo_actions,
     encode,
     is_joint,
 )

@@ -3,15 +3,14 @@
 import numpy as np
 import pytest
 
+from jaxcam.data.batches import demo_actions
 from jaxcam.data.pictures import intrinsics
 from jaxcam.rays import sample_poses
-from jaxcam.sim.actions import demo_actions
-from jaxcam.sim.engine import State
 from jaxcam.sim.mujoco.native import NativeEngine
-from jaxcam.sim.mujoco.render import View
 from jaxcam.sim.rollout import rollout
 from jaxcam.sim.task import starts
 from jaxcam.sim.tasks.lift import Lift
+from jaxcam.sim.types import State, View
 
 CHUNK = 10
 

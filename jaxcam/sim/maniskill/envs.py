@@ -28,9 +28,9 @@ from mani_skill.utils.structs import Pose
 from jaxcam.rays import sample_poses, sapien_from_opencv
 from jaxcam.rays.rotations import matrix_from_quaternion, quaternion_from_matrix
 from jaxcam.sim import make_task
-from jaxcam.sim.engine import Start, State
 from jaxcam.sim.maniskill.memory import FAR, JOINTS, NEAR
 from jaxcam.sim.task import starts
+from jaxcam.sim.types import Start, State
 
 ROBOT = "panda_firm"
 TABLE = (-0.12, 0.0, -0.9196429)
@@ -232,7 +232,7 @@ class JaxcamEnv(BaseEnv):
         return qpos, qvel, grip
 
     def state(self) -> State:
-        """Joints and objects, and the grip; [B, ...] as in `jaxcam.sim.engine.State`."""
+        """Joints and objects, and the grip; [B, ...] as in `jaxcam.sim.types.State`."""
         qpos, qvel, grip = self.numbers()
         count = len(qpos)
         return State(

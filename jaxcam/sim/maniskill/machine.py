@@ -113,6 +113,11 @@ def cuda() -> Device:
     return Device.found("gpu", _SIMULATING)
 
 
+def has_accelerator() -> bool:
+    """Whether ManiSkill can simulate on a card here, see `cuda`."""
+    return bool(cuda().kind)
+
+
 def require() -> None:
     """Makes sure that ManiSkill can be run and can draw.
 

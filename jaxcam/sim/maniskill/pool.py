@@ -24,7 +24,7 @@ from typing import Any
 from jaxcam.errors import SimError
 from jaxcam.sim.maniskill.machine import device, environment, require, require_cuda
 from jaxcam.sim.maniskill.memory import Memory, Sizes, open_memory
-from jaxcam.sim.maniskill.task import SapienWorld
+from jaxcam.sim.maniskill.scene import SapienWorld
 from jaxcam.sim.maniskill.worlds import Assignment
 
 STALL = 180.0

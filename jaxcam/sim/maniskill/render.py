@@ -1,24 +1,20 @@
 """Batched pictures of ManiSkill's worlds by SAPIEN's rasteriser, in child processes."""
 
+from collections.abc import Sequence
 from importlib.metadata import version
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxcam.sim.maniskill.machine import device
+from jaxcam.sim.maniskill.machine import device, has_accelerator
 from jaxcam.sim.maniskill.memory import PIXELS, ROWS
-from jaxcam.sim.maniskill.pool import Pool
+from jaxcam.sim.maniskill.pool import Pool, pool_of
+from jaxcam.sim.maniskill.scene import SapienWorld
 from jaxcam.sim.maniskill.studio import SHADER
-from jaxcam.sim.maniskill.task import SapienWorld
-from jaxcam.sim.world import View
+from jaxcam.sim.types import View
 
 RGB_BYTES, LAYER_BYTES = 3, 11
 """Bytes of a pixel: of its colour alone, and with depth and segment."""
-
-
-def look() -> str:
-    """What makes one painter's pictures differ from another's: drivers differ in last digits."""
-    return f"sapien{version('sapien')}-{SHADER}-{device().kind}"
 
 
 class Layers(NamedTuple):
@@ -41,14 +37,32 @@ class SapienPainter:
         scene: the world.
         height: of the pictures (pixels).
         width: of the pictures (pixels); `height` when None.
-        pool: processes that draw it.
+        varied: geoms whose sizes differ between episodes: none do here.
+        pool: processes that draw it; those that the world's other engines and painters use, when
+            None.
     """
 
     def __init__(
-        self, scene: SapienWorld, height: int, width: int | None = None, *, pool: Pool
+        self,
+        scene: SapienWorld,
+        height: int,
+        width: int | None = None,
+        *,
+        varied: Sequence[str] = (),
+        pool: Pool | None = None,
     ) -> None:
         self.scene, self.height, self.width = scene, height, width or height
-        self._pool = pool
+        self._pool = pool or pool_of(scene, on_gpu=has_accelerator())
+
+    @staticmethod
+    def look() -> str:
+        """SAPIEN's version and ManiSkill's shader; drivers differ in last digits."""
+        return f"sapien{version('sapien')}-{SHADER}-{device().kind}"
+
+    @staticmethod
+    def uses_all_cores() -> bool:
+        """Each of its child processes draws on a core, or one on the card."""
+        return True
 
     def rgb(self, view: View) -> np.ndarray:
         """Pictures, uint8 [B, H, W, 3], top row first."""

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxcam.sim.engine import Start
 from jaxcam.sim.maniskill.memory import JOINTS, Sizes
+from jaxcam.sim.types import Start
 
 CONTROL_MODE = "pd_joint_pos"
 

@@ -19,18 +19,7 @@ from jaxcam.errors import SimError
 from jaxcam.rays.rotations import Array
 from jaxcam.sim import controllers
 from jaxcam.sim.controllers import ArmState
-from jaxcam.sim.engine import (
-    Command,
-    ControllerName,
-    Engine,
-    Progress,
-    Start,
-    State,
-    Success,
-    Turn,
-    begin,
-    control_step,
-)
+from jaxcam.sim.engine import Engine, Progress, Turn, begin, control_step
 from jaxcam.sim.mujoco.bodies import full_from_sparse
 from jaxcam.sim.mujoco.mjx_model import (
     Bodies,
@@ -42,6 +31,7 @@ from jaxcam.sim.mujoco.mjx_model import (
     suit_warp,
 )
 from jaxcam.sim.mujoco.scene import Scene
+from jaxcam.sim.types import Command, ControllerName, Start, State, Success
 
 Impl = Literal["jax", "warp"]
 T = TypeVar("T")
@@ -208,9 +198,7 @@ class MjxEngine(Engine):
         step = functools.partial(self._advance, bodies)
 
         def one(progress: Progress, command: Command) -> tuple[Progress, jax.Array]:
-            progress = control_step(
-                step, lambda state: success(self.scene, state, start), progress, command
-            )
+            progress = control_step(step, lambda state: success(state, start), progress, command)
             return progress, progress.state.qpos
 
         in_time = Command(*(jnp.moveaxis(x, 1, 0) for x in commands))

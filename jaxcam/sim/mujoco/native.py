@@ -14,9 +14,10 @@ from numba.extending import overload, register_jitable
 
 from jaxcam.sim import controllers
 from jaxcam.sim.controllers import Sensed
-from jaxcam.sim.engine import Command, ControllerName, Engine, Start, State
+from jaxcam.sim.engine import Engine
 from jaxcam.sim.mujoco.bodies import box_inertia, full_from_sparse
 from jaxcam.sim.mujoco.scene import Scene
+from jaxcam.sim.types import Command, ControllerName, Start, State
 
 _TOGETHER = 64
 """Worlds that go through a control step together, at most: few enough that their data stays in a

@@ -18,10 +18,9 @@ from mujoco import mjx
 
 from jaxcam.rays import to_mujoco
 from jaxcam.rays.rotations import Array, array_namespace
+from jaxcam.sim.mujoco.machine import has_accelerator
 from jaxcam.sim.mujoco.scene import Scene
-from jaxcam.sim.world import View
-
-__all__ = ["Renderer", "View"]
+from jaxcam.sim.types import View
 
 _FAR = 1e3
 """Depths (m) beyond this count as nothing hit."""
@@ -80,9 +79,14 @@ class Renderer:
         self._data = mujoco.MjData(model)
 
     @staticmethod
-    def identity(*, shadows: bool = True, samples: int = 1) -> str:
-        """What makes one renderer's pictures differ from another's: kept with pictures and rows."""
+    def look(*, shadows: bool = True, samples: int = 1) -> str:
+        """The ray tracer's version and settings; see `Painter.look`."""
         return f"warp{mujoco.__version__}-{'shadows' if shadows else 'flat'}-{samples}x"
+
+    @staticmethod
+    def uses_all_cores() -> bool:
+        """On a GPU; on a CPU Warp draws with one thread."""
+        return has_accelerator()
 
     def rgb(self, view: View) -> np.ndarray:
         """Pictures, uint8 [B, H, W, 3], top row first."""

@@ -13,16 +13,15 @@ from jaxcam.data.collection import run_expert
 from jaxcam.errors import ConfigError, SimError
 from jaxcam.rays import Camera, look_at
 from jaxcam.rays.rotations import matrix_from_quaternion, matrix_from_rotvec, rotvec_from_matrix
-from jaxcam.sim import make_engine, make_task
-from jaxcam.sim.engine import Command
+from jaxcam.sim import make_engine, make_painter, make_task
 from jaxcam.sim.maniskill import kinematics, machine
 from jaxcam.sim.maniskill import pool as pool_module
 from jaxcam.sim.maniskill.kinematics import forward, inverse
 from jaxcam.sim.maniskill.pool import Child, pool_of
-from jaxcam.sim.maniskill.task import HOME
+from jaxcam.sim.maniskill.scene import HOME
 from jaxcam.sim.rollout import rollout
 from jaxcam.sim.task import starts
-from jaxcam.sim.world import View
+from jaxcam.sim.types import Command, View
 
 WORLDS = 3
 HALF = 0.02
@@ -217,7 +216,7 @@ def views(start, count=4):
 
 @pytest.fixture(scope="module")
 def layers(world, start):
-    return world.painter(HEIGHT, WIDTH).layers(views(start))
+    return make_painter(world, HEIGHT, WIDTH).layers(views(start))
 
 
 def test_unprojected_depth_lies_on_the_cube(layers, start, world):
@@ -254,7 +253,7 @@ def test_the_fingers_are_where_they_are_predicted(layers, start, engine):
 
 
 def test_pictures_repeat_and_show_states_and_cameras(world, start, layers):
-    painter, view = world.painter(HEIGHT, WIDTH), views(start)
+    painter, view = make_painter(world, HEIGHT, WIDTH), views(start)
     pictures = painter.rgb(view)
     assert pictures.dtype == np.uint8
     assert pictures.shape == (4, HEIGHT, WIDTH, 3)
@@ -271,7 +270,7 @@ def test_a_camera_that_sapien_cannot_have_is_an_error(world, start):
     view = views(start, 1)
     mirrored = view.world_from_camera * np.array([-1.0, 1, 1, 1])
     with pytest.raises(SimError, match="not the one that was asked"):
-        world.painter(HEIGHT, WIDTH).rgb(view._replace(world_from_camera=mirrored))
+        make_painter(world, HEIGHT, WIDTH).rgb(view._replace(world_from_camera=mirrored))
 
 
 def test_the_expert_and_a_policy_run_as_in_mujoco(push, world, engine, start):
@@ -284,7 +283,7 @@ def test_the_expert_and_a_policy_run_as_in_mujoco(push, world, engine, start):
         return np.zeros((WORLDS, 50, 7))
 
     done = rollout(
-        act, push, world, engine, world.painter(32), start,
+        act, push, world, engine, make_painter(world, 32), start,
         np.repeat(K[None, None], WORLDS, 0), np.repeat(views(start).world_from_camera[None, :1],
         WORLDS, 0), "eef_delta",
     )  # fmt: skip

@@ -8,13 +8,14 @@ import pytest
 from jax.tree_util import Partial
 from mujoco.mjx import forward as warp_forward
 
+from jaxcam.data.batches import demo_actions
 from jaxcam.data.pictures import intrinsics
 from jaxcam.errors import ConfigError, SimError
 from jaxcam.rays import sample_poses
 from jaxcam.rays.rotations import array_namespace, matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.sim import engine_name, make_engine
-from jaxcam.sim.actions import decode, demo_actions, measured
-from jaxcam.sim.engine import Command, OpenLoop, Start
+from jaxcam.sim.actions import decode, measured
+from jaxcam.sim.engine import OpenLoop
 from jaxcam.sim.mujoco import mjx
 from jaxcam.sim.mujoco.mjx import MjxEngine
 from jaxcam.sim.mujoco.mjx_model import check_pairs
@@ -22,6 +23,7 @@ from jaxcam.sim.mujoco.native import NativeEngine
 from jaxcam.sim.rollout import rollout
 from jaxcam.sim.task import starts
 from jaxcam.sim.tasks.lift import Lift
+from jaxcam.sim.types import Command, Start
 
 WORLDS = 3
 OPEN_LOOP = OpenLoop()
@@ -171,7 +173,7 @@ def test_success_and_horizon_freeze_inside_the_program(lift, scene, start, warp)
     way, _ = follow(native, start, commands)
     far = np.sort(abs(way[2, :, 0] - start.qpos[:, 0]))[1] - 1e-5  # two worlds are there by step 2
 
-    def moved(scene, state, start):
+    def moved(state, start):
         return abs(state.qpos[:, 0] - start.qpos[:, 0]) > far
 
     engine, ticks = warp["osc_pose"], []

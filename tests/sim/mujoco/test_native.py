@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from jaxcam.sim.engine import Command, Start
 from jaxcam.sim.mujoco import native
 from jaxcam.sim.mujoco.native import NativeEngine
-from jaxcam.sim.mujoco.scene import TABLE_TOP
+from jaxcam.sim.mujoco.table import TABLE_TOP
 from jaxcam.sim.task import starts
+from jaxcam.sim.types import Command, Start
 
 STEPS = 12
 

@@ -7,10 +7,11 @@ import pytest
 from jaxcam.errors import ConfigError
 from jaxcam.sim import make_task
 from jaxcam.sim.mujoco import scene as scene_module
+from jaxcam.sim.mujoco.mjcf import TABLE_SIZE
 from jaxcam.sim.mujoco.native import NativeEngine
-from jaxcam.sim.mujoco.scene import FIXTURES, SHEET_HALF_SIZE, TABLE_SIZE, TABLE_TOP, build_scene
-from jaxcam.sim.mujoco.table import ROOM_SHIFT, TABLE_SHIFT
-from jaxcam.sim.task import START_JOINT_NOISE, starts
+from jaxcam.sim.mujoco.scene import FIXTURES, SHEET_HALF_SIZE, build_scene
+from jaxcam.sim.mujoco.table import TABLE_TOP
+from jaxcam.sim.task import ROOM_SHIFT, START_JOINT_NOISE, TABLE_SHIFT, starts
 from jaxcam.sim.tasks.lift import HALF_SIZE, LIFTED, PLACEMENT
 
 
