@@ -17,7 +17,7 @@ from jaxcam.models import Policy
 from jaxcam.rays import Camera, spherical
 from jaxcam.sim import engine_name, make_engine, make_painter, make_task
 from jaxcam.sim.actions import controller_of
-from jaxcam.sim.rollout import Rollouts, rollout
+from jaxcam.sim.rollout import Agent, Episodes, Rollouts, rollout
 from jaxcam.sim.types import View
 
 VIDEO_PIXELS = 160
@@ -88,22 +88,20 @@ class Evaluator:
         cameras, digests = chosen.cameras, chosen.digests()
         K = intrinsics(task.fovy_deg, config.resolution)
         ahead = spec.chunk - spec.obs_steps + 1  # steps that a chunk reaches into the future
-        done = rollout(
+        agent = Agent(
             self._acting(policy, params),
-            task,
-            self.scene,
-            self.engine,
-            self.renderer,
-            chosen.start,
-            np.broadcast_to(K, (*cameras.shape[:2], 3, 3)),
-            cameras,
             config.action_space,
-            ahead if self.ensemble else policy.execute,
-            np.arange(self.width) < len(pairs),
-            tick,
-            spec.obs_steps,
-            self.ensemble,
+            execute=ahead if self.ensemble else policy.execute,
+            obs_steps=spec.obs_steps,
+            ensembling=self.ensemble,
         )
+        episodes = Episodes(
+            chosen.start,
+            K=np.broadcast_to(K, (*cameras.shape[:2], 3, 3)),
+            world_from_camera=cameras,
+            alive=np.arange(self.width) < len(pairs),
+        )
+        done = rollout(agent, task, self.engine, self.renderer, episodes, tick)
         azimuth, elevation, distance = (
             np.asarray(x) for x in spherical(cameras[:, 0], np.array(task.cameras.centre))
         )

@@ -18,7 +18,7 @@ from jaxcam.sim.actions import (
     is_joint,
 )
 from jaxcam.sim.mujoco.native import NativeEngine
-from jaxcam.sim.rollout import rollout
+from jaxcam.sim.rollout import Agent, Episodes, rollout
 from jaxcam.sim.task import starts
 
 LENGTH = 24
@@ -134,16 +134,12 @@ def test_collected_demonstrations_replay_in_every_space(space, lift, scene, rend
     start = starts(lift, scene, [d.seed for d in every])
     np.testing.assert_array_equal(start.qpos, [d.qpos(demos.header.nq)[0] for d in every])
     count = len(every)
-    done = rollout(
-        lambda obs, call: moves[:, call * chunk : (call + 1) * chunk],
-        lift,
-        scene,
-        engine,
-        renderer,
+    episodes = Episodes(
         start,
         np.tile(intrinsics(45, renderer.height), (count, 1, 1, 1)),
         demos.header.world_from_camera[[d.cameras[:1] for d in every]],
-        space,
     )
+    agent = Agent(lambda obs, call: moves[:, call * chunk : (call + 1) * chunk], space)
+    done = rollout(agent, lift, engine, renderer, episodes)
     assert done.success.all()
     assert done.ok.all()

@@ -7,6 +7,7 @@ all that is needed to answer them. After that the error shows the child's last w
 
 import atexit
 import contextlib
+import functools
 import json
 import logging
 import os
@@ -226,10 +227,9 @@ def pool_of(world: SapienWorld, *, on_gpu: bool = False) -> Pool:
         SimError: if this machine cannot run them; the message says what is missing.
     """
     require_cuda() if on_gpu else require()
-    key = (world.task, world.name, on_gpu)
-    if key not in _pools:
-        _pools[key] = Pool(world, on_gpu=on_gpu)
-    return _pools[key]
+    return _shared(world, on_gpu)
 
 
-_pools: dict[tuple[str, str, bool], Pool] = {}
+@functools.cache
+def _shared(world: SapienWorld, on_gpu: bool) -> Pool:
+    return Pool(world, on_gpu=on_gpu)

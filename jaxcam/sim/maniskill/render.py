@@ -52,7 +52,7 @@ class SapienPainter:
         pool: Pool | None = None,
     ) -> None:
         self.scene, self.height, self.width = scene, height, width or height
-        self._pool = pool or pool_of(scene, on_gpu=has_accelerator())
+        self.pool = pool or pool_of(scene, on_gpu=has_accelerator())
 
     @staticmethod
     def look() -> str:
@@ -80,7 +80,7 @@ class SapienPainter:
         )
         room = PIXELS // ((LAYER_BYTES if layers else RGB_BYTES) * height * width)
         room = max(1, min(ROWS, room))
-        children = self._pool.children(count)
+        children = self.pool.children(count)
         parts = np.array_split(np.arange(count), len(children))
         for first in range(0, max(len(part) for part in parts), room):
             shares = [
@@ -92,7 +92,7 @@ class SapienPainter:
                 memory, n = child.memory, len(rows)
                 memory.qpos[:n], memory.fixtures[:n] = view.qpos[rows], view.fixtures[rows]
                 memory.K[:n], memory.camera[:n] = view.K[rows], view.world_from_camera[rows]
-            names = self._pool.each(
+            names = self.pool.each(
                 [(child, ("draw", len(rows), height, width, layers)) for child, rows in shares]
             )
             for child, rows in shares:

@@ -19,7 +19,7 @@ from jaxcam.sim.maniskill import pool as pool_module
 from jaxcam.sim.maniskill.kinematics import forward, inverse
 from jaxcam.sim.maniskill.pool import Child, pool_of
 from jaxcam.sim.maniskill.scene import HOME
-from jaxcam.sim.rollout import rollout
+from jaxcam.sim.rollout import Agent, Episodes, rollout
 from jaxcam.sim.task import starts
 from jaxcam.sim.types import Command, View
 
@@ -282,11 +282,12 @@ def test_the_expert_and_a_policy_run_as_in_mujoco(push, world, engine, start):
         asked.append(obs)
         return np.zeros((WORLDS, 50, 7))
 
-    done = rollout(
-        act, push, world, engine, make_painter(world, 32), start,
-        np.repeat(K[None, None], WORLDS, 0), np.repeat(views(start).world_from_camera[None, :1],
-        WORLDS, 0), "eef_delta",
-    )  # fmt: skip
+    episodes = Episodes(
+        start,
+        np.repeat(K[None, None], WORLDS, 0),
+        np.repeat(views(start).world_from_camera[None, :1], WORLDS, 0),
+    )
+    done = rollout(Agent(act, "eef_delta"), push, engine, make_painter(world, 32), episodes)
     assert done.ok.all()
     assert not done.success.any()
     assert len(asked) == push.horizon // 50

@@ -251,7 +251,7 @@ def test_the_card_is_used_where_there_is_one(world, monkeypatch, there):
     assert engine_name("sapien", world) == "sapien"
     assert next(iter(simulator_of(world).engines)) == "sapien"  # makes demonstrations, wherever
     painter = make_painter(world, 8)
-    assert len(painter._pool.children(100)) == (1 if there else min(os.cpu_count() or 1, 8))
+    assert len(painter.pool.children(100)) == (1 if there else min(os.cpu_count() or 1, 8))
     if not there:
         with pytest.raises(SimError, match=r"sapien-gpu .* there is no card"):
             make_engine("sapien-gpu", world, "osc_pose")
@@ -260,7 +260,7 @@ def test_the_card_is_used_where_there_is_one(world, monkeypatch, there):
 def test_a_card_without_what_it_takes_is_told(monkeypatch):
     monkeypatch.setattr(machine, "has_nvidia", lambda: True)
     monkeypatch.setattr(machine, "device", lambda: Device("gpu", "a card"))
-    monkeypatch.setattr(machine, "_SIMULATING", "raise OSError('no PhysX for this card')")
+    monkeypatch.setattr(machine, "SIMULATING", "raise OSError('no PhysX for this card')")
     machine.cuda.cache_clear()
     try:
         assert machine.cuda() == Device("", "OSError: no PhysX for this card")
