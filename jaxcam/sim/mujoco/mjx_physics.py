@@ -14,6 +14,7 @@ from jaxcam.rays.rotations import Array
 from jaxcam.sim import controllers
 from jaxcam.sim.controllers import ArmState
 from jaxcam.sim.mujoco.bodies import full_from_sparse
+from jaxcam.sim.mujoco.machine import start_warp
 from jaxcam.sim.mujoco.mjx_model import (
     Bodies,
     bare,
@@ -62,6 +63,7 @@ class MjxPhysics:
         if impl == "jax":
             check_pairs(model)
         else:
+            start_warp()
             suit_warp(model)
         self._body = int(model.site_bodyid[scene.grip_site])
         self._here = jax.local_devices()[0]  # MJX would take the first of all processes' devices
