@@ -70,8 +70,8 @@ class Case:
         """Control steps per second of all worlds, and per second of processor time in children.
 
         Args:
-            steps: of each world.
-            every: steps between pictures.
+            steps: Of each world.
+            every: Steps between pictures.
         """
         self._state = self._engine.reset(self._start)
         middle = self._state.grip_position

@@ -50,10 +50,10 @@ def encode(space: str, targets: np.ndarray, gripper: np.ndarray, start: np.ndarr
     """Turns a demonstration's absolute targets into actions.
 
     Args:
-        space: of the actions.
-        targets: grip poses (m, rad; world) [T, 6] or joint angles (rad) [T, 7].
-        gripper: signs [T].
-        start: what was measured before the first target [6] or [7].
+        space: Of the actions.
+        targets: Grip poses (m, rad; world) [T, 6] or joint angles (rad) [T, 7].
+        gripper: Signs [T].
+        start: What was measured before the first target [6] or [7].
 
     Returns:
         Actions [T, 7] or [T, 8].
@@ -74,9 +74,9 @@ def decode(space: str, actions: Array, anchor: Array) -> tuple[Array, Array]:
     """Turns a batch of action chunks into absolute targets, in the namespace of `anchor`.
 
     Args:
-        space: of the actions.
-        actions: chunks [B, T, 7] or [B, T, 8].
-        anchor: the last target commanded, at the start what was measured [B, 6] or [B, 7].
+        space: Of the actions.
+        actions: Chunks [B, T, 7] or [B, T, 8].
+        anchor: The last target commanded, at the start what was measured [B, 6] or [B, 7].
 
     Returns:
         Targets [B, T, 6] or [B, T, 7], and gripper signs [B, T]. The last target is the next

@@ -56,10 +56,10 @@ def control_step(
     """One control step of the episodes that go on; under NumPy and under `jax.jit`.
 
     Args:
-        step: an engine's.
-        is_done: success of each world.
-        progress: so far.
-        command: targets [B, ...].
+        step: An engine's.
+        is_done: Success of each world.
+        progress: So far.
+        command: Targets [B, ...].
     """
     active = progress.active
     state = step(progress.state, command, active)
@@ -87,12 +87,12 @@ class Turn(Protocol):
         """Plays commands of its choice: progress, what is carried on, the way there [T, B, nq].
 
         Args:
-            play: executes commands.
-            progress: of the episodes.
-            carried: what the last turn returned.
-            call: number of the turn, from 0.
-            start: how the episodes began.
-            inputs: what `Engine.run` was given.
+            play: Executes commands.
+            progress: Of the episodes.
+            carried: What the last turn returned.
+            call: Number of the turn, from 0.
+            start: How the episodes began.
+            inputs: What `Engine.run` was given.
         """
         ...
 
@@ -147,13 +147,13 @@ class Engine(Protocol):
         """Runs episodes, turn by turn, until each succeeds, is lost or runs out of time.
 
         Args:
-            turn: chooses commands.
-            inputs: arrays for it.
-            start: of the episodes.
-            success: the task's, in this world.
-            horizon: control steps after which episodes are out of time.
+            turn: Chooses commands.
+            inputs: Arrays for it.
+            start: Of the episodes.
+            success: The task's, in this world.
+            horizon: Control steps after which episodes are out of time.
             alive: [B] False for episodes that only fill the batch up; all when None.
-            tick: called once for every control step.
+            tick: Called once for every control step.
 
         Returns:
             The progress at the end, and the way there [T + 1, B, nq].

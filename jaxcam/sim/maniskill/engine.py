@@ -24,11 +24,11 @@ class SapienEngine(Engine):
     then is the memory of its contacts lost.
 
     Args:
-        scene: the world.
+        scene: The world.
         controller: `osc_pose` or `joint_position`.
-        varied: geoms whose sizes differ between episodes: none do here.
-        on_gpu: whether physics runs on a card.
-        pool: processes that step it; those that the world's other engines and painters use, when
+        varied: Geoms whose sizes differ between episodes: none do here.
+        on_gpu: Whether physics runs on a card.
+        pool: Processes that step it; those that the world's other engines and painters use, when
             None.
     """
 
@@ -113,7 +113,12 @@ class SapienEngine(Engine):
             state.ok[here] = sound & np.isfinite(memory.qvel_now[local]).all(-1)
 
     def _shares(self, rows: np.ndarray, count: int) -> list[tuple[Child, np.ndarray, np.ndarray]]:
-        """Of each child that has some: which of `rows` it has, and their numbers there."""
+        """How worlds are shared out.
+
+        Returns:
+            For each child that has any of `rows`: the child, the places of its worlds in `rows`,
+            and the numbers of these worlds within the child.
+        """
         children = self._pool.children(count)
         each = -(-count // len(children))
         if each > ROWS:

@@ -57,11 +57,11 @@ class JaxcamEnv(BaseEnv):
 
     Args:
         scene: `fixed` or `randomized`, as in `jaxcam.sim.task.Task.scene`.
-        resolution: height and width (pixels) of the task's cameras, `view_0` and so on.
-        eye: height and width (pixels) of one camera that takes their place: it looks along the
+        resolution: Height and width (pixels) of the task's cameras, `view_0` and so on.
+        eye: Height and width (pixels) of one camera that takes their place: it looks along the
             actor `eye`, which goes anywhere, on a card too.
-        args: see ManiSkill.
-        kwargs: see ManiSkill.
+        args: See ManiSkill.
+        kwargs: See ManiSkill.
     """
 
     SUPPORTED_ROBOTS: Any = (ROBOT,)
@@ -133,9 +133,9 @@ class JaxcamEnv(BaseEnv):
         """Puts robot, objects and what is seen at a start. On a card `reset` or `put` make it so.
 
         Args:
-            start: of the environments in `rows`.
-            rows: environments that start; all when None. Only within `reset` may it be some.
-            qvel: velocities [B, nv] of robot and objects; at rest when None.
+            start: Of the environments in `rows`.
+            rows: Environments that start; all when None. Only within `reset` may it be some.
+            qvel: Velocities [B, nv] of robot and objects; at rest when None.
         """
         rows = np.arange(self.num_envs) if rows is None else rows
         qvel = np.zeros((len(rows), self.world.nv)) if qvel is None else qvel
@@ -169,7 +169,7 @@ class JaxcamEnv(BaseEnv):
         """Puts all environments at a start, unless None, and the eye where it sees from.
 
         Args:
-            start: of all of them.
+            start: Of all of them.
             world_from_camera: OpenCV axes [B, 4, 4].
         """
         if start is not None:
@@ -182,7 +182,7 @@ class JaxcamEnv(BaseEnv):
         """One control step of all environments, without observations.
 
         Args:
-            targets: of the joints' drives (rad, m) [B, 9].
+            targets: Of the joints' drives (rad, m) [B, 9].
         """
         robot = self.agent.robot
         robot.set_joint_drive_targets(self._tensor(targets), robot.active_joints)

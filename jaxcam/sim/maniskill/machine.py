@@ -60,8 +60,8 @@ class Device(NamedTuple):
             )  # fmt: skip
         except subprocess.TimeoutExpired:
             return cls("", f"no answer within {_PATIENCE} s")
-        told = (done.stderr if done.returncode else done.stdout).strip().splitlines()
-        name = told[-1] if told else f"SAPIEN ended with exit code {done.returncode}"
+        lines = (done.stderr if done.returncode else done.stdout).strip().splitlines()
+        name = lines[-1] if lines else f"SAPIEN ended with exit code {done.returncode}"
         return cls("" if done.returncode else kind, name)
 
 

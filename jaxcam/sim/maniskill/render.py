@@ -34,11 +34,11 @@ class SapienPainter:
     """Draws batches of views of one world.
 
     Args:
-        scene: the world.
-        height: of the pictures (pixels).
-        width: of the pictures (pixels); `height` when None.
-        varied: geoms whose sizes differ between episodes: none do here.
-        pool: processes that draw it; those that the world's other engines and painters use, when
+        scene: The world.
+        height: Of the pictures (pixels).
+        width: Of the pictures (pixels); `height` when None.
+        varied: Geoms whose sizes differ between episodes: none do here.
+        pool: Processes that draw it; those that the world's other engines and painters use, when
             None.
     """
 
@@ -75,7 +75,7 @@ class SapienPainter:
     def _draw(self, view: View, *, layers: bool) -> Layers:
         count, height, width = len(view.qpos), self.height, self.width
         size, deep = (count, height, width), (count * layers, height, width)
-        found = Layers(
+        drawn = Layers(
             np.empty((*size, 3), np.uint8), np.empty(deep, np.float32), np.empty(deep, np.int32), []
         )
         room = PIXELS // ((LAYER_BYTES if layers else RGB_BYTES) * height * width)
@@ -96,8 +96,8 @@ class SapienPainter:
                 [(child, ("draw", len(rows), height, width, layers)) for child, rows in shares]
             )
             for child, rows in shares:
-                drawn = child.memory.layers(len(rows), height, width)
-                for out, part in zip(found[:3] if layers else found[:1], drawn, strict=False):
+                shared = child.memory.layers(len(rows), height, width)
+                for out, part in zip(drawn[:3] if layers else drawn[:1], shared, strict=False):
                     out[rows] = part
-            found = found._replace(names=names[0])
-        return found
+            drawn = drawn._replace(names=names[0])
+        return drawn

@@ -30,10 +30,10 @@ class Studio:
     there are as many as the largest batch, and SAPIEN settles intrinsics with the first picture.
 
     Args:
-        to: the worlds.
-        height: of pictures (pixels).
-        width: of pictures (pixels).
-        K: intrinsics of a batch [n, 3, 3].
+        to: The worlds.
+        height: Of pictures (pixels).
+        width: Of pictures (pixels).
+        K: Intrinsics of a batch [n, 3, 3].
     """
 
     def __init__(self, to: Assignment, height: int, width: int, K: np.ndarray) -> None:

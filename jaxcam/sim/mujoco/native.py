@@ -99,11 +99,11 @@ class NativeEngine(Engine):
     every substep, as robosuite's does.
 
     Args:
-        scene: whose physics model is stepped.
+        scene: Whose physics model is stepped.
         controller: `osc_pose` or `joint_position`.
-        varied: geoms whose sizes differ between episodes (`Start.geom_size`); each must be the only
+        varied: Geoms whose sizes differ between episodes (`Start.geom_size`); each must be the only
             geom with mass of its body, which must be a box of uniform density.
-        threads: number of threads; the machine's cores when None.
+        threads: Number of threads; the machine's cores when None.
     """
 
     def __init__(

@@ -21,13 +21,13 @@ class Renderer:
     """Draws batches of views of one scene.
 
     Args:
-        scene: whose visual model is drawn.
-        height: of the pictures (pixels).
-        width: of the pictures (pixels); `height` when None.
-        varied: the task's varied geoms of the physics model; `<geom>_vis` is drawn.
-        batch: worlds per call of the kernel, fixed for good: smaller batches are padded.
-        shadows: cast shadows by the key light.
-        samples: sub-pixel samples per axis; 2 smooths edges at four times the cost.
+        scene: Whose visual model is drawn.
+        height: Of the pictures (pixels).
+        width: Of the pictures (pixels); `height` when None.
+        varied: The task's varied geoms of the physics model; `<geom>_vis` is drawn.
+        batch: Worlds per call of the kernel, fixed for good: smaller batches are padded.
+        shadows: Cast shadows by the key light.
+        samples: Sub-pixel samples per axis; 2 smooths edges at four times the cost.
 
     On a CPU Warp draws with one thread, and no two renderers of a process at a time: to use more
     cores, use more processes (`jaxcam.data.pictures`).

@@ -88,9 +88,9 @@ def build_scene(
         name: `fixed` shows robosuite's table and room where they stand; `randomized` shows a wide
             table top and a floor, to be moved per episode (paper, section IV-A; the authors'
             `LiftRand` shows a visual sheet and hides the real table).
-        markers: names of the objects, made without joints, that are seen and never touched; they
+        markers: Names of the objects, made without joints, that are seen and never touched; they
             become mocap bodies of the visual model.
-        hulls: corners (m) [n, 3] of the convex hulls that geoms collide with, by the geom's name;
+        hulls: Corners (m) [n, 3] of the convex hulls that geoms collide with, by the geom's name;
             masses and inertias stay the objects' own.
 
     Returns:

@@ -77,8 +77,8 @@ class Push(ManiSkillTask):
             return np.array([*(sight.qpos[cube] - BEHIND * along), height])
 
         def onwards() -> np.ndarray:
-            left = target - sight.qpos[cube]
-            return np.array([*(target - TOUCH * left / max(np.linalg.norm(left), 1e-6)), DOWN])
+            way = target - sight.qpos[cube]
+            return np.array([*(target - TOUCH * way / max(np.linalg.norm(way), 1e-6)), DOWN])
 
         yield from hand.reach(lambda: behind(HOVER), CLOSE, tolerance=0.02, turn=turned, stray=0.06)
         yield from hand.reach(lambda: behind(DOWN), CLOSE, tolerance=0.01, turn=turned)

@@ -65,11 +65,11 @@ class RollBall(ManiSkillTask):
         hand = Hand(sight)
         first = sight.qpos[at : at + 2].copy()
 
-        def left() -> np.ndarray:
+        def to_target() -> np.ndarray:
             return target - sight.qpos[at : at + 2]
 
         def along() -> np.ndarray:
-            return left() / np.linalg.norm(left())
+            return to_target() / np.linalg.norm(to_target())
 
         def turned() -> np.ndarray:
             return pushing_grip(base, sight.grip_position, along(), sight.grip_rotation)
@@ -86,6 +86,6 @@ class RollBall(ManiSkillTask):
         yield from hand.reach(lambda: behind(DOWN), CLOSE, tolerance=0.01, turn=turned)
         yield from hand.reach(ahead, CLOSE, tolerance=0.04, turn=turned)
         for _ in range(PATIENCE):
-            if np.linalg.norm(left()) < NEAR:
+            if np.linalg.norm(to_target()) < NEAR:
                 return
             yield from hand.hold(CLOSE, steps=1)
