@@ -92,7 +92,7 @@ def test_fifty_control_steps_are_as_native(lift, scene, start, warp, controller)
 
 
 def test_sizes_become_the_model_that_mujoco_derives(lift, scene, start, warp):
-    found = warp["osc_pose"]._bodies(start)
+    found = warp["osc_pose"].physics.bodies(start)
     geom, body = scene.physics.geom("cube_g0").id, scene.physics.body("cube_main").id
     for i, half in enumerate(start.geom_size[:, 0]):
         spec = mujoco.MjSpec()
