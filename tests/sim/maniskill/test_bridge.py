@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+from running import exit_code
 
 from jaxcam.data.collection import run_expert
 from jaxcam.errors import ConfigError, SimError
@@ -354,11 +355,8 @@ def test_a_machine_without_vulkan_is_told_how_to_get_it(maniskill, push, monkeyp
 
 
 def test_check_tells_what_there_is_and_how_to_get_the_rest(monkeypatch, capsys):
-    from jaxcam.checks.examine import main
-
-    monkeypatch.setattr(sys, "argv", ["check", "--env"])
     monkeypatch.setattr(machine, "missing_packages", lambda: list(machine.PACKAGES.values()))
-    main()
+    exit_code("check", "--env")
     told = capsys.readouterr().out
     assert "extra maniskill: pip install 'jaxcam[maniskill]'" in told
     assert "lift, pick_place_can, square" in told
