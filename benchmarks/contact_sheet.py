@@ -18,9 +18,10 @@ from jaxcam.rays import sample_poses
 from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.sim import make_task
 from jaxcam.sim.mujoco.native import NativeEngine
-from jaxcam.sim.mujoco.render import Renderer, View
-from jaxcam.sim.mujoco.scene import SCENES
+from jaxcam.sim.mujoco.render import Renderer
 from jaxcam.sim.task import Task, starts
+from jaxcam.sim.types import View
+from jaxcam.sim.world import SCENES
 
 COLUMNS, TILE, GAP = 6, 184, 6
 TEST_CAMERAS, FIRST_EPISODE = SPLITS["test"].cameras, 7

@@ -26,10 +26,10 @@ import mujoco
 import numpy as np
 
 from jaxcam.sim import make_task
-from jaxcam.sim.engine import Command, Start, State
 from jaxcam.sim.mujoco.native import NativeEngine
 from jaxcam.sim.mujoco.scene import Scene
 from jaxcam.sim.task import starts
+from jaxcam.sim.types import Command, Start, State
 
 WARM_UP_STEPS = 10
 GRASP_FROM_ABOVE = np.array([1.0, 1.0, 0.0]) * np.pi / np.sqrt(2)  # rotation vector

@@ -24,14 +24,14 @@ from jaxcam.rays import sample_poses
 from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.rays.rotations import rotvec_from_matrix
 from jaxcam.sim import make_task
-from jaxcam.sim.engine import Command, Start, State
 from jaxcam.sim.maniskill import machine
 from jaxcam.sim.maniskill.engine import SapienEngine
 from jaxcam.sim.maniskill.pool import Pool
 from jaxcam.sim.maniskill.render import SapienPainter
-from jaxcam.sim.maniskill.task import ManiSkillTask, SapienWorld
+from jaxcam.sim.maniskill.scene import scene_of
+from jaxcam.sim.maniskill.task import ManiSkillTask
 from jaxcam.sim.task import starts
-from jaxcam.sim.world import View
+from jaxcam.sim.types import Command, Start, State, View
 
 OWN = """
 import sys, time, gymnasium, torch, jaxcam.sim.maniskill.envs
@@ -55,9 +55,9 @@ class Case:
     """Worlds of a task in a number of child processes."""
 
     def __init__(self, task: ManiSkillTask, args: argparse.Namespace, children: int) -> None:
-        world: SapienWorld = task.scene("randomized")
+        world = scene_of(task, "randomized")
         self._pool = Pool(world, most=children)
-        self._engine = SapienEngine(world, "osc_pose", self._pool)
+        self._engine = SapienEngine(world, "osc_pose", pool=self._pool)
         self._painter = SapienPainter(world, args.size, pool=self._pool)
         self._start: Start = starts(task, world, range(args.worlds))
         self._state: State = self._engine.reset(self._start)
@@ -70,8 +70,8 @@ class Case:
         """Control steps per second of all worlds, and per second of processor time in children.
 
         Args:
-            steps: of each world.
-            every: steps between pictures.
+            steps: Of each world.
+            every: Steps between pictures.
         """
         self._state = self._engine.reset(self._start)
         middle = self._state.grip_position

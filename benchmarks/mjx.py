@@ -23,14 +23,16 @@ import mujoco
 import numpy as np
 
 from jaxcam.config.names import TaskName
+from jaxcam.data.batches import demo_actions
 from jaxcam.data.demos import read_demos, starts_of
 from jaxcam.rays.rotations import rotvec_from_matrix
 from jaxcam.sim import make_engine, make_task
-from jaxcam.sim.actions import decode, demo_actions, measured
-from jaxcam.sim.engine import Command, Engine, OpenLoop, Start, State
+from jaxcam.sim.actions import decode, measured
+from jaxcam.sim.engine import Engine, OpenLoop
 from jaxcam.sim.maniskill.task import ManiSkillTask
 from jaxcam.sim.mujoco.mjx import MjxEngine
 from jaxcam.sim.task import starts
+from jaxcam.sim.types import Command, Start, State
 
 OPEN_LOOP = OpenLoop()
 
@@ -74,10 +76,10 @@ def speed(args: argparse.Namespace) -> None:
             state = engine.reset(start)
             chunk = commands(state, args.steps)
             began = time.perf_counter()
-            engine.run(OPEN_LOOP, chunk, start, task.success, args.steps)
+            engine.run(OPEN_LOOP, chunk, start, task.success_in(scene), args.steps)
             first = time.perf_counter() - began
             began, busy = time.perf_counter(), time.process_time()
-            engine.run(OPEN_LOOP, chunk, start, task.success, args.steps)
+            engine.run(OPEN_LOOP, chunk, start, task.success_in(scene), args.steps)
             seconds, busy = time.perf_counter() - began, time.process_time() - busy
             done = args.batch * args.steps * engine.substeps
             print(
@@ -103,7 +105,9 @@ def program(args: argparse.Namespace) -> None:
                 start = Start(*(_shape(count, *x.shape) for x in one))
                 chunk = Command(_shape(count, task.horizon, 6), _shape(count, task.horizon))
                 began = time.perf_counter()
-                lowered = engine.lower(OPEN_LOOP, chunk, start, task.success, task.horizon)
+                lowered = engine.lower(
+                    OPEN_LOOP, chunk, start, task.success_in(scene), task.horizon
+                )
                 cost = lowered.cost_analysis() or {}
                 line = f"  {name:15} {which:9} {count:5} rollouts, {task.horizon} control steps: "
                 if which == "mjx-jax":  # Warp's kernels are opaque to XLA
@@ -134,7 +138,9 @@ def replay(args: argparse.Namespace) -> None:
             anchor = np.asarray(measured("eef_delta", state, scene.arm), float)
             chunk = Command(*decode("eef_delta", moves, anchor))
             began = time.perf_counter()
-            progress, _ = engine.run(OPEN_LOOP, chunk, start, task.success, moves.shape[1])
+            progress, _ = engine.run(
+                OPEN_LOOP, chunk, start, task.success_in(scene), moves.shape[1]
+            )
             success, ok = np.asarray(progress.success), np.asarray(progress.state.ok)
             print(
                 f"  {task.name:15} {which:9} {success.sum()} of {len(demos)} succeed, "

@@ -26,9 +26,10 @@ import numpy as np
 from jaxcam.rays import sample_poses, to_mujoco
 from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.sim import make_task
-from jaxcam.sim.mujoco.render import Renderer, View
+from jaxcam.sim.mujoco.render import Renderer
 from jaxcam.sim.mujoco.scene import Scene, build_scene
 from jaxcam.sim.task import Task, starts
+from jaxcam.sim.types import View
 
 GL_HELP = """mujoco.Renderer could not start ({error}).
 On Debian or Ubuntu: apt install libegl1 libegl-mesa0; or: apt install libosmesa6, and

@@ -20,7 +20,8 @@ def lift():
 @pytest.fixture(scope="session")
 def scenes(lift):
     """Both scenes of Lift by name."""
-    from jaxcam.sim.mujoco.scene import SCENES, build_scene
+    from jaxcam.sim.mujoco.scene import build_scene
+    from jaxcam.sim.world import SCENES
 
     return {name: build_scene(lift.objects(), name) for name in SCENES}
 

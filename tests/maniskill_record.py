@@ -19,9 +19,8 @@ from jaxcam.interop.maniskill_actions import SIZES
 from jaxcam.interop.maniskill_files import ENVIRONMENTS
 from jaxcam.rays.rotations import matrix_from_quaternion, matrix_from_rotvec
 from jaxcam.sim import make_task
-from jaxcam.sim.engine import Start
 from jaxcam.sim.maniskill import kinematics
-from jaxcam.sim.task import Aim, Sight
+from jaxcam.sim.types import Aim, Sight, Start
 
 
 class Show:

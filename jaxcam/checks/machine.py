@@ -20,6 +20,7 @@ from jaxcam.errors import SimError
 from jaxcam.sim import make_task
 from jaxcam.sim.maniskill import machine
 from jaxcam.sim.maniskill.pool import pool_of
+from jaxcam.sim.maniskill.scene import scene_of
 from jaxcam.sim.maniskill.task import ManiSkillTask
 
 EXTRAS = {
@@ -127,7 +128,7 @@ def _maniskill_world() -> Finding:
     task = next(t for t in map(make_task, get_args(TaskName)) if isinstance(t, ManiSkillTask))
     try:
         task.require()
-        about = pool_of(task.scene("fixed")).about
+        about = pool_of(scene_of(task, "fixed")).about
     except SimError as error:
         return note("ManiSkill tasks", got=str(error).splitlines()[0])
     steps = f"{about['control_hz']:g} control steps a second"

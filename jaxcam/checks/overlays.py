@@ -14,7 +14,9 @@ from jaxcam.data.pictures import views_of
 from jaxcam.rays import Camera
 from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.rays.rotations import matrix_from_quaternion
-from jaxcam.sim.world import Painter, View, World
+from jaxcam.sim.painter import Painter
+from jaxcam.sim.types import View
+from jaxcam.sim.world import World
 
 PIXELS = 320
 """Side of a picture."""

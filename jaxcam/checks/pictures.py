@@ -14,6 +14,7 @@ from jaxcam.data.demos import Demos
 from jaxcam.data.pictures import Pictures, is_blank, open_pictures
 from jaxcam.errors import JaxcamError
 from jaxcam.rays import spherical
+from jaxcam.sim import make_painter, painter_of
 from jaxcam.sim.task import Task
 from jaxcam.sim.world import World
 
@@ -50,7 +51,7 @@ def check_caches(demos: Demos, task: Task, scene: World, count: int) -> Iterator
     for match in matches:
         path, (fingerprint, side, look) = folder / match.string, match.groups()
         what = f"pictures, {side} px"
-        if fingerprint != demos.fingerprint or look != scene.look:
+        if fingerprint != demos.fingerprint or look != painter_of(scene).look():
             other = "of other content"
             if fingerprint == demos.fingerprint:
                 other = f"by another renderer, {look}"
@@ -85,7 +86,7 @@ def draw_overlays(demos: Demos, task: Task, scene: World, count: int) -> np.ndar
     """
     episodes, shown = demos.episodes, moments(demos, count)
     azimuth, elevation, _ = spherical(demos.header.world_from_camera, np.array(task.cameras.centre))
-    pictures = draw(demos, shown, scene.painter(PIXELS, varied=task.varied)).copy()
+    pictures = draw(demos, shown, make_painter(scene, PIXELS, varied=task.varied)).copy()
     captions = []
     for picture, moment in zip(pictures, shown, strict=True):
         draw_over(picture, demos, moment, scene)
@@ -130,7 +131,7 @@ def _compared(
     """Whether pictures are what is drawn here of their states and cameras."""
     rows = _some_drawn(cache, count)
     shown = list(map(Moment, *(part.tolist() for part in cache.layout.where(rows))))
-    ours = draw(demos, shown, scene.painter(cache.rgb.shape[1], varied=task.varied))
+    ours = draw(demos, shown, make_painter(scene, cache.rgb.shape[1], varied=task.varied))
     theirs = cache.rgb[rows]
     apart = _apart(ours, theirs)
     if apart.max() <= ALIKE:

@@ -17,7 +17,8 @@ from jaxcam.models.normalization import STD_FLOOR
 from jaxcam.models.policy import Batch
 from jaxcam.rays import invert
 from jaxcam.rays.intrinsics import intrinsics
-from jaxcam.sim.actions import demo_actions
+from jaxcam.rays.rotations import rotvec_from_matrix
+from jaxcam.sim.actions import encode, is_joint
 from jaxcam.sim.world import World
 
 PREFETCH = 4
@@ -142,6 +143,21 @@ def make_dataset(
         train=len(demos.train),
         fingerprint=f"{demos.fingerprint}-{pixels}px-{space}",
     )
+
+
+def demo_actions(demo: Demo, space: str, scene: World) -> np.ndarray:
+    """A demonstration's commands as actions [T, A] of a space.
+
+    Joint targets are the joints reached after each step (authors' code), led by their velocity
+    times the controller's lag, so that the arm is where it was when the gripper was commanded.
+    """
+    gripper = demo.actions[:, -1]
+    if is_joint(space):
+        qpos, qvel = demo.qpos[:, scene.arm], demo.qvel[:, scene.arm]
+        return encode(space, qpos[1:] + scene.joint_lag * qvel[1:], gripper, qpos[0])
+    grip = demo.world_from_grip()[0]
+    start = np.concatenate([grip[:3, 3], rotvec_from_matrix(grip[:3, :3])])
+    return encode(space, demo.actions[:, :-1], gripper, start)
 
 
 def _keyframes(demo: Demo, scene: World) -> np.ndarray:

@@ -19,9 +19,10 @@ from jaxcam.files.locks import exclusive
 from jaxcam.files.paths import home
 from jaxcam.rays import sample_poses, stair, stair_cameras
 from jaxcam.rays.rotations import rotvec_from_matrix
-from jaxcam.sim import make_engine, make_task
-from jaxcam.sim.engine import Command, Engine, Start, State
-from jaxcam.sim.task import Aim, Sight, Task, starts
+from jaxcam.sim import make_engine, make_task, simulator_of
+from jaxcam.sim.engine import Engine
+from jaxcam.sim.task import Task, starts
+from jaxcam.sim.types import Aim, Command, Sight, Start, State
 from jaxcam.sim.world import World
 
 BATCH = 50
@@ -73,6 +74,7 @@ def new_header(config: CollectConfig, task: Task, scene: World) -> Header:
         sample_poses(task.cameras, stair_cameras(config.demos, config.n, config.m), TRAIN_CAMERAS),
         sample_poses(task.cameras, config.validation, VALIDATION_CAMERAS),
     ]
+    packages = ("jaxcam", *simulator_of(scene).packages, "numpy")
     return Header(
         task=config.task,
         scene=config.scene,
@@ -85,7 +87,7 @@ def new_header(config: CollectConfig, task: Task, scene: World) -> Header:
         nq=scene.nq,
         nv=scene.nv,
         world_from_camera=np.concatenate(poses),
-        versions={name: version(name) for name in ("jaxcam", *scene.packages, "numpy")},
+        versions={name: version(name) for name in packages},
     )
 
 
@@ -101,7 +103,7 @@ def _fill(writer: DemoWriter, task: Task, scene: World, console: Console | None)
     header = writer.header
     total = header.train + header.valid
     cameras = camera_windows(header)
-    engine = make_engine(scene.engines[0], scene, "osc_pose", task.varied)
+    engine = make_engine(None, scene, "osc_pose", task.varied)
     seeds = episode_seeds(header.seed)
     tried = succeeded = kept = 0
     unsteady: list[int] = []

@@ -9,7 +9,7 @@ A file holds no pictures; they are rendered from its states (`jaxcam.data.pictur
       obs/robot0_eef_pos  [T + 1, 3] measured grip site (m, world)
       obs/robot0_eef_quat [T + 1, 4] the same, xyzw as robomimic has it
       obs/robot0_gripper  [T + 1]    the gripper's command in [-1 open, 1 closed]
-      start/{geom_size, fixtures}    what else fixes the episode (`jaxcam.sim.engine.Start`)
+      start/{geom_size, fixtures}    what else fixes the episode (`jaxcam.sim.types.Start`)
     cameras/world_from_camera [N, 4, 4]   OpenCV axes
     cameras/fovy_deg                      vertical field of view
     mask/{train, valid}                   names of the demonstrations
@@ -40,8 +40,8 @@ from jaxcam.rays.rotations import (
 )
 from jaxcam.sim import make_task
 from jaxcam.sim.controllers import CONTROL_HZ
-from jaxcam.sim.engine import Start
 from jaxcam.sim.task import Task
+from jaxcam.sim.types import Start
 from jaxcam.sim.world import World
 
 FORMAT = 1

@@ -18,7 +18,8 @@ from jaxcam.data.splits import SPLITS
 from jaxcam.errors import DatasetError
 from jaxcam.files.jsonl import write_atomically
 from jaxcam.rays import sample_poses
-from jaxcam.sim.task import Start, Task, starts
+from jaxcam.sim.task import Task, starts
+from jaxcam.sim.types import Start
 from jaxcam.sim.world import World
 
 

@@ -26,8 +26,10 @@ from jaxcam.data.samples import Layout
 from jaxcam.errors import DatasetError, SimError
 from jaxcam.files.locks import exclusive
 from jaxcam.rays.intrinsics import intrinsics
-from jaxcam.sim import make_task
-from jaxcam.sim.world import Painter, View, World
+from jaxcam.sim import make_painter, make_task, painter_of
+from jaxcam.sim.painter import Painter
+from jaxcam.sim.types import View
+from jaxcam.sim.world import World
 
 PICTURES_AT_ONCE = 512
 """Pictures that are drawn and kept together."""
@@ -67,7 +69,8 @@ def load_pictures(
         SimError: If pictures come out blank.
     """
     require_possible(demos)
-    name = f"{demos.path.stem}-{demos.fingerprint}-{resolution}px-{_scene(demos.header).look}.npy"
+    look = painter_of(_scene(demos.header)).look()
+    name = f"{demos.path.stem}-{demos.fingerprint}-{resolution}px-{look}.npy"
     path = demos.path.parent / "frames" / name
     if path.exists():
         return open_pictures(path, demos, resolution)
@@ -151,7 +154,7 @@ def _draw(
 ) -> Iterator[np.ndarray]:
     """Pictures of each view in order; by one process a core where one draws with one thread."""
     workers = min(os.cpu_count() or 1, count // GROUPS_PER_WORKER)
-    if workers < 2 or _scene(header).painter_uses_all_cores:
+    if workers < 2 or painter_of(_scene(header)).uses_all_cores():
         draw = functools.partial(_draw_view, header.task, header.scene, resolution)
         yield from map(draw, views)
         return
@@ -177,7 +180,7 @@ def _draw(
 @functools.cache
 def _renderer(task_name: str, scene_name: str, resolution: int) -> Painter:
     task = make_task(task_name)
-    return task.scene(scene_name).painter(resolution, varied=task.varied)
+    return make_painter(task.scene(scene_name), resolution, varied=task.varied)
 
 
 def is_blank(picture: np.ndarray) -> bool:

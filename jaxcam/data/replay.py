@@ -11,11 +11,13 @@ from rich.console import Console
 from rich.table import Table
 
 from jaxcam.console.progress import progress
+from jaxcam.data.batches import demo_actions
 from jaxcam.data.demos import Demo, Demos, starts_of
 from jaxcam.sim import make_engine
-from jaxcam.sim.actions import ACTION_SPACES, controller_of, decode, demo_actions, measured
-from jaxcam.sim.engine import Command, Engine, OpenLoop
+from jaxcam.sim.actions import ACTION_SPACES, controller_of, decode, measured
+from jaxcam.sim.engine import Engine, OpenLoop
 from jaxcam.sim.task import Task
+from jaxcam.sim.types import Command
 from jaxcam.sim.world import World
 
 GATE = 0.99
@@ -54,7 +56,7 @@ def play(
     actions = [_held(demo_actions(d, space, scene), space, max(lengths)) for d in demos]
     anchor = measured(space, engine.reset(start), scene.arm)
     command = Command(*decode(space, np.stack(actions), anchor))
-    progress, way = engine.run(OPEN_LOOP, command, start, task.success, max(lengths))
+    progress, way = engine.run(OPEN_LOOP, command, start, task.success_in(scene), max(lengths))
     success = np.asarray(progress.success) & (np.asarray(progress.steps) <= lengths)
     return success, np.asarray(way)
 
@@ -91,9 +93,7 @@ def replay_all(
     for space in spaces:
         controller = controller_of(space)
         if controller not in engines:
-            engines[controller] = make_engine(
-                engine or scene.engines[0], scene, controller, task.varied
-            )
+            engines[controller] = make_engine(engine, scene, controller, task.varied)
         parts = []
         for i in range(0, len(demos), BATCH):
             batch = demos[i : i + BATCH]

@@ -17,10 +17,10 @@ from jaxcam.models import Policy
 from jaxcam.rays import Camera, spherical
 from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.results.rows import Row
-from jaxcam.sim import engine_name, make_engine, make_task
+from jaxcam.sim import engine_name, make_engine, make_painter, make_task
 from jaxcam.sim.actions import controller_of
-from jaxcam.sim.rollout import Rollouts, rollout
-from jaxcam.sim.world import View
+from jaxcam.sim.rollout import Agent, Episodes, Rollouts, rollout
+from jaxcam.sim.types import View
 
 VIDEO_PIXELS = 160
 VIDEO_STRIDE = 2
@@ -71,7 +71,7 @@ class Evaluator:
         varied = self.task.varied
         controller = controller_of(config.action_space)
         self.engine = make_engine(self.engine_name, self.scene, controller, varied)
-        self.renderer = self.scene.painter(config.resolution, varied=varied)
+        self.renderer = make_painter(self.scene, config.resolution, varied=varied)
 
     def run(
         self,
@@ -97,22 +97,20 @@ class Evaluator:
         chosen = self.pairs(split, filled)
         K = intrinsics(self.task.fovy_deg, config.resolution)
         ahead = spec.chunk - spec.obs_steps + 1  # steps that a chunk reaches into the future
-        done = rollout(
+        agent = Agent(
             self._acting(candidate.policy, candidate.params),
-            self.task,
-            self.scene,
-            self.engine,
-            self.renderer,
-            chosen.start,
-            np.broadcast_to(K, (*chosen.cameras.shape[:2], 3, 3)),
-            chosen.cameras,
             config.action_space,
-            ahead if self.ensemble else candidate.policy.execute,
-            np.arange(self.width) < len(pairs),
-            tick,
-            spec.obs_steps,
-            self.ensemble,
+            execute=ahead if self.ensemble else candidate.policy.execute,
+            obs_steps=spec.obs_steps,
+            ensembling=self.ensemble,
         )
+        episodes = Episodes(
+            chosen.start,
+            K=np.broadcast_to(K, (*chosen.cameras.shape[:2], 3, 3)),
+            world_from_camera=chosen.cameras,
+            alive=np.arange(self.width) < len(pairs),
+        )
+        done = rollout(agent, self.task, self.engine, self.renderer, episodes, tick)
         return self._rows(candidate, split, pairs, chosen, done), done
 
     def _rows(
@@ -147,7 +145,7 @@ class Evaluator:
                 elevation_deg=float(np.rad2deg(elevation[i])),
                 distance=float(distance[i]),
                 camera=cameras[i].tolist(),
-                renderer=self.scene.look,
+                renderer=self.renderer.look(),
                 engine=self.engine_name,
                 ensemble=self.ensemble,
                 width=self.width,
@@ -168,7 +166,7 @@ class Evaluator:
         """Videos of rollouts as their first camera saw them, uint8 [T, H, W, 3] each."""
         task = self.task
         _, cameras, start = self.pairs(split, pairs)
-        renderer = self.scene.painter(VIDEO_PIXELS, varied=task.varied)
+        renderer = make_painter(self.scene, VIDEO_PIXELS, varied=task.varied)
         K = intrinsics(task.fovy_deg, VIDEO_PIXELS)
         clips = []
         for i in range(len(pairs)):

@@ -16,8 +16,8 @@ from jaxcam.data.writer import DemoWriter
 from jaxcam.errors import DatasetError
 from jaxcam.files.locks import exclusive
 from jaxcam.files.paths import home
-from jaxcam.sim.engine import State
 from jaxcam.sim.task import Task
+from jaxcam.sim.types import State
 from jaxcam.sim.world import World
 
 

@@ -24,7 +24,7 @@ from jaxcam.interop.importing import succeeds, write_dataset
 from jaxcam.interop.maniskill_files import open_file, read_demo, read_source, why_failed
 from jaxcam.sim import make_engine
 from jaxcam.sim.actions import ACTION_SPACES, controller_of
-from jaxcam.sim.maniskill.task import SapienWorld
+from jaxcam.sim.maniskill.scene import SapienWorld
 
 ASTRAY = 0.02
 """Distance (m) from where it was recorded at which a replayed object has gone another way."""
@@ -127,7 +127,7 @@ def run(
 def _why_lost(demo: Demo, space: str, data: Demos, engine: str | None) -> str:
     """How the replay of a demonstration that fails differs from its states."""
     task, scene = data.task, cast(SapienWorld, data.world)
-    stepped = make_engine(engine or scene.engines[0], scene, controller_of(space), task.varied)
+    stepped = make_engine(engine, scene, controller_of(space), task.varied)
     _, way = play([demo], space, task, scene, stepped)
     recorded = demo.qpos
     steps = min(len(way), len(recorded))

@@ -26,10 +26,11 @@ from jaxcam.interop.maniskill_actions import grip_targets, gripper_signs
 from jaxcam.rays.rotations import quaternion_from_matrix, rotvec_from_matrix
 from jaxcam.sim import make_task
 from jaxcam.sim.controllers import CONTROL_HZ
-from jaxcam.sim.engine import Start
 from jaxcam.sim.maniskill import kinematics
 from jaxcam.sim.maniskill.memory import JOINTS
-from jaxcam.sim.maniskill.task import ManiSkillTask, SapienWorld
+from jaxcam.sim.maniskill.scene import SapienWorld
+from jaxcam.sim.maniskill.task import ManiSkillTask
+from jaxcam.sim.types import Start
 
 ENVIRONMENTS = {
     "PushCube-v1": "push",

@@ -36,9 +36,9 @@ from jaxcam.interop.robosuite_model import (
 from jaxcam.rays.rotations import rotvec_from_matrix
 from jaxcam.sim import make_task
 from jaxcam.sim.controllers import CONTROL_HZ, gripper_command
-from jaxcam.sim.engine import Start
 from jaxcam.sim.mujoco.scene import Scene
 from jaxcam.sim.task import Task
+from jaxcam.sim.types import Start
 
 ENVIRONMENTS: dict[str, TaskName] = {"Lift": "lift", "LiftRand": "lift"}
 """Our task of each of robosuite's environments that can be replayed."""

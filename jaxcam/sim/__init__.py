@@ -1,64 +1,110 @@
-"""Tasks, physics, controllers and rendering."""
+"""Worlds: tasks, experts, controllers, and the engines and painters of two simulators."""
 
+import pkgutil
 from collections.abc import Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING, get_args
 
-from jaxcam.config.names import EngineName, TaskName
 from jaxcam.errors import ConfigError, closest
+from jaxcam.sim import tasks
+from jaxcam.sim.engine import Engine
+from jaxcam.sim.painter import Painter
+from jaxcam.sim.simulators import SIMULATORS, EngineName, Simulator
+from jaxcam.sim.task import Task
+from jaxcam.sim.types import ControllerName
+from jaxcam.sim.world import World
 
-if TYPE_CHECKING:
-    from jaxcam.sim.engine import ControllerName, Engine
-    from jaxcam.sim.task import Task
-    from jaxcam.sim.world import World
+__all__ = [
+    "engine_name",
+    "make_engine",
+    "make_painter",
+    "make_task",
+    "painter_of",
+    "simulator_of",
+    "task_names",
+]
 
 
-def make_task(name: str) -> "Task":
-    """The task of that name: the one in `jaxcam/sim/tasks/<name>.py`.
+def task_names() -> tuple[str, ...]:
+    """Names of all tasks: every file in `jaxcam/sim/tasks` is one."""
+    return tuple(sorted(module.name for module in pkgutil.iter_modules(tasks.__path__)))
+
+
+def make_task(name: str) -> Task:
+    """The task of that name: the one in `jaxcam/sim/tasks/<name>.py`. It loads no simulator.
 
     Raises:
         ConfigError: if there is none; the message names the closest.
     """
-    if name not in get_args(TaskName):
-        raise ConfigError(f"Unknown task {name!r}{closest(name, get_args(TaskName))}")
-    module = vars(import_module(f"jaxcam.sim.tasks.{name}"))
+    if name not in task_names():
+        raise ConfigError(f"Unknown task {name!r}{closest(name, task_names())}")
+    module = vars(import_module(f"{tasks.__name__}.{name}"))
     return next(x for x in module.values() if isinstance(x, type) and vars(x).get("name") == name)()
 
 
-def engine_name(name: str, scene: "World") -> str:
+def simulator_of(world: World) -> Simulator:
+    """What steps and draws a world."""
+    return SIMULATORS[world.simulator]
+
+
+def engine_name(name: str, world: World) -> EngineName:
     """The engine meant by a setting.
 
     Args:
         name: `auto`, or an engine's. `auto` is the world's fastest on this machine.
-        scene: the world.
+        world: The world.
 
     Raises:
         ConfigError: if there is no such engine, or it cannot step this world.
     """
-    if name not in get_args(EngineName):
-        raise ConfigError(f"Unknown engine {name!r}{closest(name, get_args(EngineName))}")
-    if name != "auto":
-        if name not in scene.engines:
-            raise ConfigError(
-                f"The engine {name!r} cannot step this task's world; auto, or one of "
-                f"{', '.join(scene.engines)}, can."
-            )
-        return name
-    return scene.fastest_engine
+    simulator = simulator_of(world)
+    if name == "auto":
+        accelerated = simulator.has_accelerator()
+        return simulator.accelerated if accelerated else next(iter(simulator.engines))
+    for known in simulator.engines:
+        if name == known:
+            return known
+    engines = [engine for one in SIMULATORS.values() for engine in one.engines]
+    if name not in engines:
+        raise ConfigError(f"Unknown engine {name!r}{closest(name, ['auto', *engines])}")
+    raise ConfigError(
+        f"The engine {name!r} cannot step this task's world; auto, or one of "
+        f"{', '.join(simulator.engines)}, can."
+    )
 
 
 def make_engine(
-    name: str, scene: "World", controller: "ControllerName", varied: Sequence[str] = ()
-) -> "Engine":
+    name: str | None, world: World, controller: ControllerName, varied: Sequence[str] = ()
+) -> Engine:
     """The engine of that name.
 
     Args:
-        name: see `engine_name`.
-        scene: the world that is stepped.
+        name: See `engine_name`; None is the one that makes demonstrations.
+        world: The world that is stepped.
         controller: `osc_pose` or `joint_position`.
-        varied: geoms whose sizes differ between episodes.
+        varied: Geoms whose sizes differ between episodes.
 
     Raises:
-        ConfigError: if there is none, or it cannot run the scene; the message says which can.
+        ConfigError: if there is none, or it cannot run the world; the message says which can.
     """
-    return scene.engine(engine_name(name, scene), controller, varied)
+    engines = simulator_of(world).engines
+    chosen = next(iter(engines)) if name is None else engine_name(name, world)
+    return engines[chosen](world, controller, varied)
+
+
+def make_painter(
+    world: World, height: int, width: int | None = None, *, varied: Sequence[str] = ()
+) -> Painter:
+    """What draws a world.
+
+    Args:
+        world: The world.
+        height: Of the pictures (pixels).
+        width: Of the pictures (pixels); `height` when None.
+        varied: The task's varied geoms.
+    """
+    return simulator_of(world).painter(world, height, width, varied=tuple(varied))
+
+
+def painter_of(world: World) -> type[Painter]:
+    """The class of what draws a world: its `look`, and whether it `uses_all_cores`."""
+    return simulator_of(world).painter.load()

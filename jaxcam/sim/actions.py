@@ -10,7 +10,6 @@ authors' code does; near half a turn its deltas jump by up to a whole turn.
 
 import numpy as np
 
-from jaxcam.data.demos import Demo
 from jaxcam.rays.rotations import (
     Array,
     array_namespace,
@@ -18,8 +17,7 @@ from jaxcam.rays.rotations import (
     nearest_rotation,
     rotvec_from_matrix,
 )
-from jaxcam.sim.engine import ControllerName, State
-from jaxcam.sim.world import World
+from jaxcam.sim.types import ControllerName, State
 
 ACTION_SPACES = ("eef_delta", "eef_abs", "joint_delta", "joint_abs")
 """The paper's four; the authors' component-wise differencing is a fifth, to reproduce them."""
@@ -52,10 +50,10 @@ def encode(space: str, targets: np.ndarray, gripper: np.ndarray, start: np.ndarr
     """Turns a demonstration's absolute targets into actions.
 
     Args:
-        space: of the actions.
-        targets: grip poses (m, rad; world) [T, 6] or joint angles (rad) [T, 7].
-        gripper: signs [T].
-        start: what was measured before the first target [6] or [7].
+        space: Of the actions.
+        targets: Grip poses (m, rad; world) [T, 6] or joint angles (rad) [T, 7].
+        gripper: Signs [T].
+        start: What was measured before the first target [6] or [7].
 
     Returns:
         Actions [T, 7] or [T, 8].
@@ -72,28 +70,13 @@ def encode(space: str, targets: np.ndarray, gripper: np.ndarray, start: np.ndarr
     return np.concatenate([moves, gripper[:, None]], -1)
 
 
-def demo_actions(demo: Demo, space: str, scene: World) -> np.ndarray:
-    """A demonstration's commands as actions [T, A] of a space.
-
-    Joint targets are the joints reached after each step (authors' code), led by their velocity
-    times the controller's lag, so that the arm is where it was when the gripper was commanded.
-    """
-    gripper = demo.actions[:, -1]
-    if is_joint(space):
-        qpos, qvel = demo.qpos[:, scene.arm], demo.qvel[:, scene.arm]
-        return encode(space, qpos[1:] + scene.joint_lag * qvel[1:], gripper, qpos[0])
-    grip = demo.world_from_grip()[0]
-    start = np.concatenate([grip[:3, 3], rotvec_from_matrix(grip[:3, :3])])
-    return encode(space, demo.actions[:, :-1], gripper, start)
-
-
 def decode(space: str, actions: Array, anchor: Array) -> tuple[Array, Array]:
     """Turns a batch of action chunks into absolute targets, in the namespace of `anchor`.
 
     Args:
-        space: of the actions.
-        actions: chunks [B, T, 7] or [B, T, 8].
-        anchor: the last target commanded, at the start what was measured [B, 6] or [B, 7].
+        space: Of the actions.
+        actions: Chunks [B, T, 7] or [B, T, 8].
+        anchor: The last target commanded, at the start what was measured [B, 6] or [B, 7].
 
     Returns:
         Targets [B, T, 6] or [B, T, 7], and gripper signs [B, T]. The last target is the next

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxcam.rays.rotations import Array, array_namespace, matrix_from_rotvec
-from jaxcam.sim.engine import ControllerName
+from jaxcam.sim.types import ControllerName
 
 CONTROL_HZ = 20
 """Control steps per second (paper, and robosuite's default)."""
@@ -76,10 +76,10 @@ def osc_pose(arm: ArmState, position: Array, rotation: Array, rest: Array) -> Ar
     """Operational-space control of the grip site's pose.
 
     Args:
-        arm: current state.
-        position: target in the world (m) [3].
-        rotation: target axes in the world [3, 3].
-        rest: joint angles (rad) [7] that the null space is pulled to (the episode's start).
+        arm: Current state.
+        position: Target in the world (m) [3].
+        rotation: Target axes in the world [3, 3].
+        rest: Joint angles (rad) [7] that the null space is pulled to (the episode's start).
 
     Returns:
         Joint torques (N m) [7], gravity compensated, not yet clipped.
@@ -106,8 +106,8 @@ def joint_position(arm: ArmState, target: Array) -> Array:
 
 def rotation_error(current: Array, target: Array) -> Array:
     """Half the sum of the axes' cross products [3]: sin(angle) times the axis of what is left."""
-    left = target @ current.T
-    twice = left - left.T
+    turn = target @ current.T
+    twice = turn - turn.T
     return 0.5 * join(twice[2:, 1], join(twice[:1, 2], twice[1:2, 0]))
 
 
@@ -115,9 +115,9 @@ def goal(controller: ControllerName, target: Array, rest: Array) -> tuple[Array,
     """What a controller is asked for in a control step, as its arguments behind the arm's state.
 
     Args:
-        controller: its name.
-        target: of the command (`jaxcam.sim.engine.Command`).
-        rest: joint angles (rad) [..., 7] that OSC's null space is pulled to.
+        controller: Its name.
+        target: Of the command (`jaxcam.sim.types.Command`).
+        rest: Joint angles (rad) [..., 7] that OSC's null space is pulled to.
     """
     if controller == "joint_position":
         return (target,)
@@ -135,11 +135,11 @@ def pose_torques(
     """Torques of `osc_pose` for some worlds, into `out` [n, 7]; the native engine compiles it.
 
     Args:
-        sensed: of all worlds.
-        mass_at: where each element of the inertia is in the sparse one [7, 7].
-        rows: the worlds [n].
-        goal: of `osc_pose` for each of `rows`, see `goal`.
-        out: what is written.
+        sensed: Of all worlds.
+        mass_at: Where each element of the inertia is in the sparse one [7, 7].
+        rows: The worlds [n].
+        goal: Of `osc_pose` for each of `rows`, see `goal`.
+        out: What is written.
     """
     position, rotation, rest = goal
     for k in range(len(rows)):

@@ -5,63 +5,12 @@ whose physics diverges is flagged and left, the others go on.
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from jaxcam.rays.rotations import Array, array_namespace
-
-if TYPE_CHECKING:
-    from jaxcam.sim.world import World
-
-ControllerName = Literal["osc_pose", "joint_position"]
-
-
-class Start(NamedTuple):
-    """What fixes an episode before its first step; leading batch axes allowed."""
-
-    qpos: Array
-    """Joint positions [..., nq]."""
-    geom_size: Array
-    """Sizes (m) of the task's varied geoms [..., v, 3]."""
-    fixtures: Array
-    """Poses (xyz, wxyz) in the world of table, room and the task's markers [..., 2 + markers, 7];
-    seen, never touched."""
-
-
-class State(NamedTuple):
-    """A batch of worlds between two control steps; enough to go on from."""
-
-    qpos: Array
-    """Joint positions [B, nq]."""
-    qvel: Array
-    """Joint velocities [B, nv]."""
-    warmstart: Array
-    """Accelerations that the constraint solver starts from [B, nv]; [B, 0] in SAPIEN."""
-    closed: Array
-    """Gripper command in [-1 open, 1 closed] [B]."""
-    rest: Array
-    """Arm joint angles (rad) at the episode's start [B, 7]: OSC's null-space target."""
-    grip_position: Array
-    """Grip site in the world (m) [B, 3]."""
-    grip_rotation: Array
-    """Grip site's axes in the world [B, 3, 3]."""
-    ok: Array
-    """False where the physics has diverged (non-finite or warned of) [B]."""
-
-
-class Command(NamedTuple):
-    """One control step's absolute targets."""
-
-    target: Array
-    """`osc_pose`: position (m) and rotation vector (rad) in the world [B, 6];
-    `joint_position`: joint angles (rad) [B, 7]."""
-    gripper: Array
-    """Positive closes, negative opens [B]."""
-
-
-Success = Callable[["World", State, Start], Array]
-"""A task's `success`: whether each world is done [B]."""
+from jaxcam.sim.types import Command, Start, State, Success
 
 
 class Progress(NamedTuple):
@@ -107,10 +56,10 @@ def control_step(
     """One control step of the episodes that go on; under NumPy and under `jax.jit`.
 
     Args:
-        step: an engine's.
-        is_done: success of each world.
-        progress: so far.
-        command: targets [B, ...].
+        step: An engine's.
+        is_done: Success of each world.
+        progress: So far.
+        command: Targets [B, ...].
     """
     active = progress.active
     state = step(progress.state, command, active)
@@ -138,12 +87,12 @@ class Turn(Protocol):
         """Plays commands of its choice: progress, what is carried on, the way there [T, B, nq].
 
         Args:
-            play: executes commands.
-            progress: of the episodes.
-            carried: what the last turn returned.
-            call: number of the turn, from 0.
-            start: how the episodes began.
-            inputs: what `Engine.run` was given.
+            play: Executes commands.
+            progress: Of the episodes.
+            carried: What the last turn returned.
+            call: Number of the turn, from 0.
+            start: How the episodes began.
+            inputs: What `Engine.run` was given.
         """
         ...
 
@@ -198,13 +147,13 @@ class Engine(Protocol):
         """Runs episodes, turn by turn, until each succeeds, is lost or runs out of time.
 
         Args:
-            turn: chooses commands.
-            inputs: arrays for it.
-            start: of the episodes.
-            success: the task's.
-            horizon: control steps after which episodes are out of time.
+            turn: Chooses commands.
+            inputs: Arrays for it.
+            start: Of the episodes.
+            success: The task's, in this world.
+            horizon: Control steps after which episodes are out of time.
             alive: [B] False for episodes that only fill the batch up; all when None.
-            tick: called once for every control step.
+            tick: Called once for every control step.
 
         Returns:
             The progress at the end, and the way there [T + 1, B, nq].
@@ -218,7 +167,7 @@ class Engine(Protocol):
             for t in range(min(commands.target.shape[1], horizon - int(progress.taken))):
                 command = Command(commands.target[:, t], commands.gripper[:, t])
                 progress = control_step(
-                    self.step, lambda state: success(self.scene, state, start), progress, command
+                    self.step, lambda state: success(state, start), progress, command
                 )
                 way.append(progress.state.qpos)
                 tick()

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from jaxcam.rays.rotations import matrix_from_rotvec, rotvec_from_matrix
-from jaxcam.sim.task import Aim, Sight
+from jaxcam.sim.types import Aim, Sight
 
 OPEN, CLOSE = -1.0, 1.0
 STEP = 0.02
@@ -57,9 +57,9 @@ def easy_grip(base: np.ndarray, at: np.ndarray, close: np.ndarray) -> np.ndarray
     far: so it is within reach, and out of line with the forearm, where the arm swings.
 
     Args:
-        base: position of the robot's base (m) [3].
-        at: where the grip is (m) [3].
-        close: the direction [3].
+        base: Position of the robot's base (m) [3].
+        at: Where the grip is (m) [3].
+        close: The direction [3].
     """
     out = (at - base)[:2]
     distance = np.linalg.norm(out)
@@ -75,7 +75,7 @@ class Hand:
     """The set-point of an expert's gripper, which moves from where it is and never jumps.
 
     Args:
-        sight: what the expert sees, renewed between aims; the set-point starts at its grip pose
+        sight: What the expert sees, renewed between aims; the set-point starts at its grip pose
             and keeps that orientation.
     """
 
@@ -100,21 +100,21 @@ class Hand:
         away, gentle on arrival. So it turns, by at most `TURN`.
 
         Args:
-            goal: where to.
-            gripper: sign of the gripper's command.
-            tolerance: distance (m) between grip and goal at which the move ends.
-            turn: grip axes [3, 3] to turn to meanwhile, to within `AIMED`; none keeps them.
-            trim: share of what the arm, whose joints stick, stays behind by which the set-point
+            goal: Where to.
+            gripper: Sign of the gripper's command.
+            tolerance: Distance (m) between grip and goal at which the move ends.
+            turn: Grip axes [3, 3] to turn to meanwhile, to within `AIMED`; none keeps them.
+            trim: Share of what the arm, whose joints stick, stays behind by which the set-point
                 goes on per step, once it is there itself.
-            stray: chance per step to stray for a moment in a random direction. Corrections of
+            stray: Chance per step to stray for a moment in a random direction. Corrections of
                 such errors are what a policy must be shown to recover from its own.
         """
         rng, astray, drift, extra = self._sight.rng, 0, np.zeros(3), np.zeros(3)
         for _ in range(PATIENCE):
-            left = goal() + extra - self._point
-            if trim and np.linalg.norm(left) < STEP / 2:
+            way = goal() + extra - self._point
+            if trim and np.linalg.norm(way) < STEP / 2:
                 extra = extra + trim * (goal() - self._sight.grip_position)
-            move = left * min(EASE, STEP / max(np.linalg.norm(left), 1e-9))
+            move = way * min(EASE, STEP / max(np.linalg.norm(way), 1e-9))
             if stray and not astray and rng.random() < stray:
                 astray = int(rng.integers(*STRAY_STEPS))
                 direction = rng.normal(size=3)
@@ -138,9 +138,9 @@ class Hand:
         return Aim(self._point, self._rotation, gripper)
 
     def _turn(self, goal: np.ndarray) -> None:
-        left = rotvec_from_matrix(goal @ self._rotation.T)
-        left = left * min(EASE, TURN / max(np.linalg.norm(left), 1e-9))
-        self._rotation = matrix_from_rotvec(left) @ self._rotation
+        turn = rotvec_from_matrix(goal @ self._rotation.T)
+        turn = turn * min(EASE, TURN / max(np.linalg.norm(turn), 1e-9))
+        self._rotation = matrix_from_rotvec(turn) @ self._rotation
 
     def _angle(self, goal: np.ndarray) -> float:
         """How far (rad) the grip is turned from `goal`."""
@@ -156,10 +156,10 @@ def pushing_grip(
     the one that is turned less. Near to the robot the hand leans towards it, far off away.
 
     Args:
-        base: position of the robot's base (m) [3].
-        at: where the grip is (m) [3].
-        along: horizontal direction [2] or [3] to push in.
-        like: grip axes [3, 3] to be near to.
+        base: Position of the robot's base (m) [3].
+        at: Where the grip is (m) [3].
+        along: Horizontal direction [2] or [3] to push in.
+        like: Grip axes [3, 3] to be near to.
     """
     x, y = along[:2] / np.linalg.norm(along[:2])
     across = np.array([-y, x, 0.0])

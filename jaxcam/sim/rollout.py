@@ -15,14 +15,47 @@ import numpy as np
 from jaxcam.rays import invert
 from jaxcam.rays.rotations import Array, array_namespace
 from jaxcam.sim.actions import averageable, averaged, decode, measured
-from jaxcam.sim.engine import Command, Engine, Play, Progress, Start, State
+from jaxcam.sim.engine import Engine, Play, Progress
 from jaxcam.sim.ensemble import ensemble
+from jaxcam.sim.painter import Painter
 from jaxcam.sim.task import Task
-from jaxcam.sim.world import Painter, View, World
+from jaxcam.sim.types import Command, Start, State, View
+from jaxcam.sim.world import World
 
 Act = Callable[[dict[str, np.ndarray], int], np.ndarray]
 """`act(obs, call)`: observations of all episodes and number of the call, to chunks [B, T, A]. MJX
 engines want a `jax.tree_util.Partial`, so that new weights need no new compilation."""
+
+
+@dataclass(frozen=True)
+class Agent:
+    """A policy, and how it is asked."""
+
+    act: Act
+    space: str
+    """Of its actions, see `jaxcam.sim.actions`."""
+    execute: int | None = None
+    """Steps of a chunk that are executed; the whole chunk when None. With ensembling, which needs
+    it, the steps that are averaged."""
+    obs_steps: int = 1
+    """Observations that it sees at once; before the start they are the first one."""
+    ensembling: float = 0.0
+    """Rate of temporal ensembling, see `jaxcam.sim.ensemble`: the policy is asked at every step; 0
+    is off."""
+
+
+@dataclass(frozen=True)
+class Episodes:
+    """A batch of episodes before they are run."""
+
+    start: Start
+    """How they begin, [B, ...]."""
+    K: np.ndarray = field(repr=False)
+    """Intrinsics of their cameras, in pixels of the painter's pictures [B, V, 3, 3]."""
+    world_from_camera: np.ndarray = field(repr=False)
+    """Poses of their cameras, OpenCV axes [B, V, 4, 4]."""
+    alive: np.ndarray | None = field(default=None, repr=False)
+    """[B] False for episodes that only fill the batch up; all are alive when None."""
 
 
 @dataclass(frozen=True)
@@ -40,51 +73,41 @@ class Rollouts:
 
 
 def rollout(
-    act: Act,
+    agent: Agent,
     task: Task,
-    scene: World,
     engine: Engine,
-    renderer: Painter,
-    start: Start,
-    K: np.ndarray,
-    world_from_camera: np.ndarray,
-    space: str,
-    execute: int | None = None,
-    alive: np.ndarray | None = None,
+    painter: Painter,
+    episodes: Episodes,
     tick: Callable[[], None] = lambda: None,
-    obs_steps: int = 1,
-    ensembling: float = 0.0,
 ) -> Rollouts:
-    """Runs one episode per start until success or the task's horizon.
+    """Runs episodes until success or the task's horizon.
 
     Args:
-        act: the policy.
-        task: whose success counts.
-        scene: of the episodes.
-        engine: with the space's controller.
-        renderer: of the scene, at the policy's resolution.
-        start: [B] episodes.
-        K: intrinsics [B, V, 3, 3].
-        world_from_camera: camera poses [B, V, 4, 4].
-        space: of the policy's actions.
-        execute: steps of a chunk that are executed; the whole chunk when None. With ensembling,
-            which needs it, the steps that are averaged.
-        alive: [B] False for episodes that only fill the batch up; all when None.
-        tick: called after every control step.
-        obs_steps: observations the policy sees at once, see `PolicySpec`; before the start they are
-            the first one.
-        ensembling: rate of temporal ensembling, see `jaxcam.sim.ensemble`: the policy is asked at
-            every step; 0 is off.
+        agent: Whose actions are executed.
+        task: Whose success counts.
+        engine: Steps the episodes' world, with the controller of the agent's actions.
+        painter: Draws that world, at the policy's resolution.
+        episodes: What is run.
+        tick: Called after every control step.
     """
-    turn = _turn(renderer, space, execute, obs_steps, ensembling)
-    world_from_camera = np.asarray(world_from_camera)
+    world: World = engine.scene
+    turn = _turn(painter, agent.space, agent.execute, agent.obs_steps, agent.ensembling)
+    world_from_camera = np.asarray(episodes.world_from_camera)
     inputs = _Inputs(
-        act=act,
-        K=np.asarray(K),
+        act=agent.act,
+        K=np.asarray(episodes.K),
         world_from_camera=world_from_camera,
-        base_from_camera=(invert(scene.world_from_base) @ world_from_camera).astype(np.float32),
+        base_from_camera=(invert(world.world_from_base) @ world_from_camera).astype(np.float32),
     )
-    progress, trace = engine.run(turn, inputs, start, task.success, task.horizon, alive, tick)
+    progress, trace = engine.run(
+        turn,
+        inputs,
+        episodes.start,
+        task.success_in(world),
+        task.horizon,
+        episodes.alive,
+        tick,
+    )
     return Rollouts(
         success=np.asarray(progress.success),
         steps=np.asarray(progress.steps),
@@ -100,7 +123,7 @@ class _Inputs(NamedTuple):
     base_from_camera: Array
 
 
-class _Seen(NamedTuple):
+class _Sensed(NamedTuple):
     """What an observation is made of."""
 
     qpos: Array
@@ -112,7 +135,7 @@ class _Carried(NamedTuple):
 
     anchor: Array
     """The last target, which deltas add to."""
-    before: tuple[_Seen, ...]
+    before: tuple[_Sensed, ...]
     """The steps before, if the policy sees several."""
     mean: Array
     """What was predicted for the steps to come [B, T, N], if that is averaged."""
@@ -123,19 +146,19 @@ class _PolicyTurn:
 
     def __init__(
         self,
-        renderer: Painter,
+        painter: Painter,
         space: str,
         execute: int | None,
         obs_steps: int,
         ensembling: float,
     ) -> None:
-        self._scene, self._renderer = renderer.scene, renderer
+        self._world, self._painter = painter.scene, painter
         self._space, self._execute, self._past = space, execute, obs_steps - 1
         self._ensembling = ensembling
 
     def first(self, state: State) -> _Carried:
-        before = (_Seen(state.qpos, state.grip_position),) * self._past
-        anchor = measured(self._space, state, self._scene.arm)
+        before = (_Sensed(state.qpos, state.grip_position),) * self._past
+        anchor = measured(self._space, state, self._world.arm)
         averaged_steps = (self._execute or 0) if self._ensembling else 0
         still = anchor[:, None].repeat(averaged_steps, 1)
         return _Carried(anchor, before, averageable(self._space, still, still[..., 0]))
@@ -150,8 +173,8 @@ class _PolicyTurn:
         inputs: _Inputs,
     ) -> tuple[Progress, _Carried, Array]:
         xp, active = array_namespace(carried.anchor), progress.active
-        seen = [*carried.before, _Seen(progress.state.qpos, progress.state.grip_position)]
-        steps = [self._observe(one, start, inputs, active) for one in seen]
+        observed = [*carried.before, _Sensed(progress.state.qpos, progress.state.grip_position)]
+        steps = [self._observe(one, start, inputs, active) for one in observed]
         obs = {name: xp.stack([step[name] for step in steps], 1) for name in steps[0]}
         obs = obs if self._past else steps[0]
         chunk = xp.asarray(inputs.act(obs, call))[:, : self._execute]
@@ -173,23 +196,23 @@ class _PolicyTurn:
             way.append(part)
             begin = end
             if end < length:
-                seen.append(_Seen(progress.state.qpos, progress.state.grip_position))
-        before = tuple(seen[len(seen) - self._past :])
+                observed.append(_Sensed(progress.state.qpos, progress.state.grip_position))
+        before = tuple(observed[len(observed) - self._past :])
         return progress, _Carried(targets[:, -1], before, mean), xp.concatenate(way)
 
     def _observe(
-        self, seen: _Seen, start: Start, inputs: _Inputs, active: Array
+        self, sensed: _Sensed, start: Start, inputs: _Inputs, active: Array
     ) -> dict[str, Array]:
         return {
-            "image": self._look(seen.qpos, start, inputs, active),
+            "image": self._look(sensed.qpos, start, inputs, active),
             "K": inputs.K.astype(np.float32),
             "base_from_camera": inputs.base_from_camera,
-            "proprio": self._scene.proprio(seen.qpos, seen.grip_position),
+            "proprio": self._world.proprio(sensed.qpos, sensed.grip_position),
         }
 
     def _look(self, qpos: Array, start: Start, inputs: _Inputs, active: Array) -> Array:
         """Pictures [B, V, H, W, 3] of the active episodes; the others' are black and never used."""
-        draw, xp = self._renderer, array_namespace(qpos)
+        draw, xp = self._painter, array_namespace(qpos)
         count, views = inputs.K.shape[:2]
         shape = (count, views, draw.height, draw.width, 3)
         on_host = xp is np
@@ -203,8 +226,8 @@ class _PolicyTurn:
         )
         if not on_host:
             compiled: Any = draw  # the painters of worlds that compiled engines step are, too
-            seen = compiled.traced(view).reshape(shape)
-            return xp.where(active[:, None, None, None, None], seen, 0)
+            traced = compiled.traced(view).reshape(shape)
+            return xp.where(active[:, None, None, None, None], traced, 0)
         pictures = np.zeros(shape, np.uint8)
         pictures[rows] = draw.rgb(view).reshape(len(rows), *shape[1:])
         return pictures

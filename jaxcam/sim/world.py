@@ -1,67 +1,39 @@
 """What the rest of the package knows of a task's world, whichever simulator it lives in."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
+from typing import ClassVar, get_args
 
 import numpy as np
 
+from jaxcam.errors import ConfigError, closest
 from jaxcam.rays.rotations import Array, array_namespace
+from jaxcam.sim.simulators import SimulatorName
+from jaxcam.sim.types import SceneName
 
-if TYPE_CHECKING:
-    from jaxcam.sim.engine import ControllerName, Engine
-
-
-class View(NamedTuple):
-    """What to draw: B worlds, each seen by one camera."""
-
-    qpos: Array
-    """Joint positions [B, nq]."""
-    geom_size: Array
-    """Sizes (m) of the task's varied geoms [B, v, 3]."""
-    fixtures: Array
-    """Poses (xyz, wxyz) of table, room and markers [B, 2 + markers, 7]."""
-    K: Array
-    """Intrinsics in pixels of the picture [B, 3, 3]; no skew."""
-    world_from_camera: Array
-    """Camera poses [B, 4, 4], OpenCV axes."""
-
-
-class Painter(Protocol):
-    """Draws batches of views of one world, all of one size."""
-
-    scene: Any
-    height: int
-    width: int
-
-    def rgb(self, view: View) -> np.ndarray:
-        """Pictures, uint8 [B, H, W, 3], top row first."""
-        ...
-
-
+SCENES: tuple[SceneName, ...] = get_args(SceneName)
 PROPRIO_DIM = 11
 """Numbers that the robot feels, see `World.proprio`."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class World(ABC):
-    """A task's world: its robot in the arrays of states, and who steps and draws it."""
+    """A task's world: where its robot and objects are in the arrays of states."""
 
-    engines: ClassVar[tuple[str, ...]]
-    """Names of the engines that step it. The first makes demonstrations."""
-    packages: ClassVar[tuple[str, ...]]
-    """Distributions whose versions shape what happens in it."""
-
+    simulator: ClassVar[SimulatorName]
+    """Who steps and draws it, see `jaxcam.sim.simulators`."""
     table_top: ClassVar[float]
     """Height of the table's surface (m)."""
+    table_middle: ClassVar[float]
+    """Height (m) of the origin of the table that is seen, in `Start.fixtures`."""
 
-    name: str
-    """`fixed` or `randomized`."""
+    name: SceneName
     nq: int
     """Length of a state's positions."""
     nv: int
     """Length of a state's velocities."""
+    qpos0: np.ndarray = field(repr=False)
+    """Positions [nq] before a task has placed anything."""
     arm: np.ndarray = field(repr=False)
     """Indices of the seven arm joints in qpos (and, the joints being hinges, in qvel)."""
     fingers: np.ndarray = field(repr=False)
@@ -79,37 +51,8 @@ class World(ABC):
         """Address in qpos of the pose (xyz, wxyz) of an object's body."""
 
     @abstractmethod
-    def engine(
-        self, name: str, controller: "ControllerName", varied: Sequence[str] = ()
-    ) -> "Engine":
-        """The engine of that name, one of `engines`; see `jaxcam.sim.make_engine`."""
-
-    @property
-    @abstractmethod
-    def fastest_engine(self) -> str:
-        """Name of the engine that is the fastest on this machine."""
-
-    @abstractmethod
-    def painter(
-        self, height: int, width: int | None = None, *, varied: Sequence[str] = ()
-    ) -> Painter:
-        """What draws the world.
-
-        Args:
-            height: of the pictures (pixels).
-            width: of the pictures (pixels); `height` when None.
-            varied: the task's varied geoms.
-        """
-
-    @property
-    @abstractmethod
-    def look(self) -> str:
-        """What makes one painter's pictures differ from another's: kept with pictures and rows."""
-
-    @property
-    @abstractmethod
-    def painter_uses_all_cores(self) -> bool:
-        """Whether one painter draws as fast as several, each in a process of its own."""
+    def size_of(self, geom: str) -> np.ndarray:
+        """Usual size (m) [3] of a geom that tasks may vary."""
 
     def proprio(self, qpos: Array, grip_position: Array) -> Array:
         """What the robot feels, float32 [..., PROPRIO_DIM].
@@ -120,3 +63,15 @@ class World(ABC):
         opening = abs(qpos[..., self.fingers]).sum(-1, keepdims=True)
         xp = array_namespace(qpos)
         return xp.concatenate([qpos[..., self.arm], local, opening], -1).astype(np.float32)
+
+
+def scene_name(name: str) -> SceneName:
+    """The scene of that name.
+
+    Raises:
+        ConfigError: if there is none; the message names the closest.
+    """
+    for known in SCENES:
+        if name == known:
+            return known
+    raise ConfigError(f"Unknown scene {name!r}{closest(name, SCENES)}.")

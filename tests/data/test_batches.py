@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxcam.data.batches import make_dataset, stacked_batches
+from jaxcam.data.batches import demo_actions, make_dataset, stacked_batches
 from jaxcam.models.normalization import STD_FLOOR
-from jaxcam.sim.actions import ACTION_SPACES, action_dim, demo_actions
+from jaxcam.sim.actions import ACTION_SPACES, action_dim
 
 CHUNK = 10
 

@@ -12,7 +12,8 @@ from jaxcam.data.pictures import load_pictures
 from jaxcam.errors import DatasetError, SimError
 from jaxcam.rays import Camera
 from jaxcam.rays.intrinsics import intrinsics
-from jaxcam.sim.mujoco.render import Renderer, View
+from jaxcam.sim.mujoco.render import Renderer
+from jaxcam.sim.types import View
 
 Usage = namedtuple("Usage", "total used free")
 
@@ -54,7 +55,7 @@ def test_cached_pictures_are_fresh_renders_of_state_and_camera(demos, pictures, 
 def test_every_picture_has_one_place(demos, pictures):
     rows = [
         pictures.layout.at(np.array(i), np.array(t), np.array(c))
-        for i, d in enumeratedemos.episodes
+        for i, d in enumerate(demos.episodes)
         for t in range(d.length)
         for c in range(len(d.cameras))
     ]
@@ -152,7 +153,7 @@ def test_other_pictures_have_another_cache(demos, pictures):
     small = load_pictures(demos, 16)
     assert small.rgb.shape[1:] == (16, 16, 3)
     (name,) = set(pictures_in(demos)) - before
-    for part in (demos.fingerprint, "-16px-", Renderer.identity()):
+    for part in (demos.fingerprint, "-16px-", Renderer.look()):
         assert part in name
 
 
@@ -174,7 +175,7 @@ def test_intrinsics_are_of_the_whole_picture():
 )
 def test_a_cache_that_is_not_what_was_written_is_refused(elsewhere, pictures, change, words):
     (elsewhere.path.parent / "frames").mkdir()
-    name = f"{elsewhere.path.stem}-{elsewhere.fingerprint}-{PIXELS}px-{Renderer.identity()}.npy"
+    name = f"{elsewhere.path.stem}-{elsewhere.fingerprint}-{PIXELS}px-{Renderer.look()}.npy"
     cache = elsewhere.path.parent / "frames" / name
     np.save(cache, pictures.rgb)
     change(cache, np.array(pictures.rgb))

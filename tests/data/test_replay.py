@@ -7,10 +7,11 @@ import pytest
 from running import exit_code
 
 from jaxcam.data import replay as replay_module
+from jaxcam.data.batches import demo_actions
 from jaxcam.data.demos import read_demos
 from jaxcam.data.replay import replay, replay_all
 from jaxcam.data.writer import DemoWriter
-from jaxcam.sim.actions import ACTION_SPACES, controller_of, demo_actions
+from jaxcam.sim.actions import ACTION_SPACES, controller_of
 from jaxcam.sim.mujoco.native import NativeEngine
 
 

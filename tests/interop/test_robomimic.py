@@ -25,8 +25,8 @@ from jaxcam.pipeline import like_its_dataset, train, training_data
 from jaxcam.rays.rotations import matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.runs.identity import resolve
 from jaxcam.sim.actions import encode
-from jaxcam.sim.engine import Command
 from jaxcam.sim.mujoco.native import NativeEngine
+from jaxcam.sim.types import Command
 
 VERSIONS = ("1.4", "1.5")
 EPISODES = 2

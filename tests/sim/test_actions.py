@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from jaxcam.config.names import ActionSpace
+from jaxcam.data.batches import demo_actions
 from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.rays.rotations import matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.sim.actions import (
@@ -15,12 +16,11 @@ from jaxcam.sim.actions import (
     action_dim,
     controller_of,
     decode,
-    demo_actions,
     encode,
     is_joint,
 )
 from jaxcam.sim.mujoco.native import NativeEngine
-from jaxcam.sim.rollout import rollout
+from jaxcam.sim.rollout import Agent, Episodes, rollout
 from jaxcam.sim.task import starts
 
 LENGTH = 24
@@ -136,16 +136,12 @@ def test_collected_demonstrations_replay_in_every_space(space, lift, scene, rend
     start = starts(lift, scene, [d.seed for d in every])
     np.testing.assert_array_equal(start.qpos, [d.qpos[0] for d in every])
     count = len(every)
-    done = rollout(
-        lambda obs, call: moves[:, call * chunk : (call + 1) * chunk],
-        lift,
-        scene,
-        engine,
-        renderer,
+    episodes = Episodes(
         start,
         np.tile(intrinsics(45, renderer.height), (count, 1, 1, 1)),
         demos.header.world_from_camera[[d.cameras[:1] for d in every]],
-        space,
     )
+    agent = Agent(lambda obs, call: moves[:, call * chunk : (call + 1) * chunk], space)
+    done = rollout(agent, lift, engine, renderer, episodes)
     assert done.success.all()
     assert done.ok.all()

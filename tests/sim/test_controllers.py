@@ -10,10 +10,10 @@ import pytest
 
 from jaxcam.rays.rotations import matrix_from_quaternion, matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.sim import controllers
-from jaxcam.sim.engine import Command, Start
 from jaxcam.sim.mujoco.native import TORQUES, NativeEngine
 from jaxcam.sim.mujoco.scene import build_scene
 from jaxcam.sim.tasks.lift import Lift
+from jaxcam.sim.types import Command, Start
 
 GOLDEN = places.GOLDEN / "robosuite_osc.npz"
 

@@ -17,7 +17,7 @@ from jaxcam.sim.actions import averageable, averaged
 from jaxcam.sim.ensemble import ensemble
 from jaxcam.sim.mujoco.mjx import MjxEngine
 from jaxcam.sim.mujoco.native import NativeEngine
-from jaxcam.sim.rollout import rollout
+from jaxcam.sim.rollout import Agent, Episodes, rollout
 from jaxcam.sim.task import starts
 from jaxcam.sim.tasks.lift import Lift
 
@@ -119,11 +119,12 @@ class Recorder(NativeEngine):
 
 
 def roll(act, engine, lift, scene, renderer, space, **how):
-    return rollout(
-        act, ShortLift(), scene, engine, renderer, starts(lift, scene, [3, 1]),
+    episodes = Episodes(
+        starts(lift, scene, [3, 1]),
         np.tile(intrinsics(45, renderer.height), (2, 1, 1, 1)),
-        sample_poses(lift.cameras, 2, 0)[:, None], space, **how,
-    )  # fmt: skip
+        sample_poses(lift.cameras, 2, 0)[:, None],
+    )
+    return rollout(Agent(act, space, **how), ShortLift(), engine, renderer, episodes)
 
 
 def near(lift, scene):

@@ -8,9 +8,9 @@ from jaxcam.rays.rotations import matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.sim import make_task
 from jaxcam.sim.experts import LEVEL, STEP, TURN, Hand, easy_grip, funnel
 from jaxcam.sim.mujoco.native import NativeEngine
-from jaxcam.sim.task import Sight
 from jaxcam.sim.tasks.pick_place_can import NEAR
 from jaxcam.sim.tasks.square import BASE_HALF_SIZE, NUT_HALF_HEIGHT
+from jaxcam.sim.types import Sight
 
 SEEDS = range(42, 62)
 LONGEST = {"lift": 100, "pick_place_can": 150, "square": 260}

@@ -3,15 +3,14 @@
 import numpy as np
 import pytest
 
+from jaxcam.data.batches import demo_actions
 from jaxcam.rays import sample_poses
 from jaxcam.rays.intrinsics import intrinsics
-from jaxcam.sim.actions import demo_actions
-from jaxcam.sim.engine import State
 from jaxcam.sim.mujoco.native import NativeEngine
-from jaxcam.sim.mujoco.render import View
-from jaxcam.sim.rollout import rollout
+from jaxcam.sim.rollout import Agent, Episodes, rollout
 from jaxcam.sim.task import starts
 from jaxcam.sim.tasks.lift import Lift
+from jaxcam.sim.types import State, View
 
 CHUNK = 10
 
@@ -25,19 +24,14 @@ def run(lift, scene, renderer):
     def run(act, seeds, task=lift, views=1, execute=None, obs_steps=1):
         count = len(seeds)
         poses = sample_poses(lift.cameras, views * (max(seeds) + 1), 0)
-        return rollout(
-            act,
-            task,
-            scene,
-            NativeEngine(scene, varied=lift.varied),
-            renderer,
+        agent = Agent(act, "eef_delta", execute, obs_steps)
+        episodes = Episodes(
             starts(lift, scene, seeds),
             np.tile(intrinsics(45, renderer.height), (count, views, 1, 1)),
             poses.reshape(-1, views, 4, 4)[seeds],
-            "eef_delta",
-            execute,
-            obs_steps=obs_steps,
         )
+        engine = NativeEngine(scene, varied=lift.varied)
+        return rollout(agent, task, engine, renderer, episodes)
 
     return run
 

@@ -10,14 +10,17 @@ import pytest
 
 from jaxcam.rays import invert, sample_poses
 from jaxcam.sim import make_task
-from jaxcam.sim.engine import Command, Start, State
+from jaxcam.sim.mujoco.mjcf import robosuite_object
 from jaxcam.sim.mujoco.native import NativeEngine
-from jaxcam.sim.mujoco.scene import FIXTURES, TABLE_TOP, prism
+from jaxcam.sim.mujoco.objects import prism
+from jaxcam.sim.mujoco.scene import FIXTURES
+from jaxcam.sim.mujoco.table import TABLE_TOP
 from jaxcam.sim.task import starts
 from jaxcam.sim.tasks import pick_place_can as can
 from jaxcam.sim.tasks import square
 from jaxcam.sim.tasks.pick_place_can import PickPlaceCan
 from jaxcam.sim.tasks.square import Square
+from jaxcam.sim.types import Command, Start, State
 
 NEW = ("pick_place_can", "square")
 OBJECTS = {"lift": ["cube"], "pick_place_can": ["can"], "square": ["nut", "peg"]}
@@ -214,7 +217,7 @@ def test_the_target_is_seen_where_fixtures_say_and_never_touched():
 def test_physics_has_robosuites_masses():
     """The can's and the nut's are those of robosuite's models, the peg's that of the cylinder."""
     for name, task in (("can_main", PickPlaceCan()), ("nut_main", Square())):
-        model = mujoco.MjModel.from_xml_string(alone(task.objects()[0]))
+        model = mujoco.MjModel.from_xml_string(alone(robosuite_object(task.objects()[0])))
         physics = task.scene("fixed").physics
         body = physics.body(name)
         np.testing.assert_allclose(body.mass[0], model.body(name).mass[0], rtol=1e-5)

@@ -1,15 +1,18 @@
 """ManiSkill's physics behind the interface of engines: `SapienEngine`."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from jaxcam.errors import SimError
 from jaxcam.rays.rotations import matrix_from_quaternion, matrix_from_rotvec
 from jaxcam.sim.controllers import CONTROL_HZ
-from jaxcam.sim.engine import Command, ControllerName, Engine, Start, State
+from jaxcam.sim.engine import Engine
 from jaxcam.sim.maniskill import kinematics
 from jaxcam.sim.maniskill.memory import ROWS
-from jaxcam.sim.maniskill.pool import Child, Pool
-from jaxcam.sim.maniskill.task import SapienWorld
+from jaxcam.sim.maniskill.pool import Child, Pool, pool_of
+from jaxcam.sim.maniskill.scene import SapienWorld
+from jaxcam.sim.types import Command, ControllerName, Start, State
 
 
 class SapienEngine(Engine):
@@ -21,13 +24,25 @@ class SapienEngine(Engine):
     then is the memory of its contacts lost.
 
     Args:
-        scene: the world.
+        scene: The world.
         controller: `osc_pose` or `joint_position`.
-        pool: processes that step it.
+        varied: Geoms whose sizes differ between episodes: none do here.
+        on_gpu: Whether physics runs on a card.
+        pool: Processes that step it; those that the world's other engines and painters use, when
+            None.
     """
 
-    def __init__(self, scene: SapienWorld, controller: ControllerName, pool: Pool) -> None:
-        self.scene, self.controller, self._pool = scene, controller, pool
+    def __init__(
+        self,
+        scene: SapienWorld,
+        controller: ControllerName,
+        varied: Sequence[str] = (),
+        *,
+        on_gpu: bool = False,
+        pool: Pool | None = None,
+    ) -> None:
+        self.scene, self.controller = scene, controller
+        self._pool = pool or pool_of(scene, on_gpu=on_gpu)
         about = self._pool.about
         if about["control_hz"] != CONTROL_HZ:
             raise SimError(
@@ -98,7 +113,12 @@ class SapienEngine(Engine):
             state.ok[here] = sound & np.isfinite(memory.qvel_now[local]).all(-1)
 
     def _shares(self, rows: np.ndarray, count: int) -> list[tuple[Child, np.ndarray, np.ndarray]]:
-        """Of each child that has some: which of `rows` it has, and their numbers there."""
+        """How worlds are shared out.
+
+        Returns:
+            For each child that has any of `rows`: the child, the places of its worlds in `rows`,
+            and the numbers of these worlds within the child.
+        """
         children = self._pool.children(count)
         each = -(-count // len(children))
         if each > ROWS:

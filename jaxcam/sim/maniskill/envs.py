@@ -7,7 +7,6 @@ is plain white, as in the authors' variants; what is touched stays where it is. 
 """
 
 from copy import deepcopy
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -22,21 +21,17 @@ from mani_skill.envs.tasks.tabletop.roll_ball import RollBallEnv
 from mani_skill.sensors.camera import CameraConfig
 from mani_skill.utils import common
 from mani_skill.utils.registration import register_env
-from mani_skill.utils.scene_builder.table import scene_builder
 from mani_skill.utils.structs import Pose
 
 from jaxcam.rays import sample_poses, sapien_from_opencv
-from jaxcam.rays.rotations import matrix_from_quaternion, quaternion_from_matrix
+from jaxcam.rays.rotations import matrix_from_quaternion
 from jaxcam.sim import make_task
-from jaxcam.sim.engine import Start, State
 from jaxcam.sim.maniskill.memory import FAR, JOINTS, NEAR
+from jaxcam.sim.maniskill.scenery import SeenTable, sapien_pose, set_camera
 from jaxcam.sim.task import starts
+from jaxcam.sim.types import Start, State
 
 ROBOT = "panda_firm"
-TABLE = (-0.12, 0.0, -0.9196429)
-"""Where ManiSkill's table stands (m), turned by a quarter; its top is at height 0."""
-TABLE_SCALE = 1.75
-"""Of its mesh."""
 
 
 @register_agent()
@@ -62,11 +57,11 @@ class JaxcamEnv(BaseEnv):
 
     Args:
         scene: `fixed` or `randomized`, as in `jaxcam.sim.task.Task.scene`.
-        resolution: height and width (pixels) of the task's cameras, `view_0` and so on.
-        eye: height and width (pixels) of one camera that takes their place: it looks along the
+        resolution: Height and width (pixels) of the task's cameras, `view_0` and so on.
+        eye: Height and width (pixels) of one camera that takes their place: it looks along the
             actor `eye`, which goes anywhere, on a card too.
-        args: see ManiSkill.
-        kwargs: see ManiSkill.
+        args: See ManiSkill.
+        kwargs: See ManiSkill.
     """
 
     SUPPORTED_ROBOTS: Any = (ROBOT,)
@@ -102,7 +97,7 @@ class JaxcamEnv(BaseEnv):
         fov, side = float(np.deg2rad(self.task.fovy_deg)), self._resolution
         poses = sample_poses(self.task.cameras, self.task.views, 0)
         return [
-            CameraConfig(f"view_{i}", _sapien_camera(pose), side, side, fov, NEAR, FAR)
+            CameraConfig(f"view_{i}", sapien_pose(pose), side, side, fov, NEAR, FAR)
             for i, pose in enumerate(poses)
         ]
 
@@ -112,27 +107,11 @@ class JaxcamEnv(BaseEnv):
         self.markers = [self.scene.actors[name] for name in self.task.markers]
         self._seen_table = None
         if self.world.name == "randomized":
-            for table in self.table_scene.table._objs:
-                _hide(table)
-            for ground in self.table_scene.ground._objs:
-                _whiten(ground)
-            self._seen_table = self._build_seen_table()
+            self._seen_table = SeenTable(self.scene, self.table_scene, self.table_stretch)
         if self._eye_size:
             builder = self.scene.create_actor_builder()
             builder.initial_pose = sapien.Pose()
             self._eye = builder.build_kinematic(name="eye")
-
-    def _build_seen_table(self) -> Any:
-        """A table to be seen and moved; what is touched is ManiSkill's, which is hidden."""
-        mesh = Path(scene_builder.__file__).parent / "assets" / "table.glb"
-        builder = self.scene.create_actor_builder()
-        builder.add_visual_from_file(
-            str(mesh),
-            scale=[TABLE_SCALE * self.table_stretch, TABLE_SCALE, TABLE_SCALE],
-            pose=sapien.Pose(q=_yaw(np.pi / 2)),
-        )
-        builder.initial_pose = sapien.Pose(TABLE, _yaw(np.pi / 2))
-        return builder.build_kinematic(name="seen_table")
 
     def reset(
         self, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
@@ -154,9 +133,9 @@ class JaxcamEnv(BaseEnv):
         """Puts robot, objects and what is seen at a start. On a card `reset` or `put` make it so.
 
         Args:
-            start: of the environments in `rows`.
-            rows: environments that start; all when None. Only within `reset` may it be some.
-            qvel: velocities [B, nv] of robot and objects; at rest when None.
+            start: Of the environments in `rows`.
+            rows: Environments that start; all when None. Only within `reset` may it be some.
+            qvel: Velocities [B, nv] of robot and objects; at rest when None.
         """
         rows = np.arange(self.num_envs) if rows is None else rows
         qvel = np.zeros((len(rows), self.world.nv)) if qvel is None else qvel
@@ -179,7 +158,7 @@ class JaxcamEnv(BaseEnv):
         for marker, pose in zip(self.markers, start.fixtures[:, 2:].swapaxes(0, 1), strict=True):
             marker.set_pose(Pose.create(self._tensor(pose)))
         if self._seen_table is not None:
-            self._seen_table.set_pose(Pose.create(self._tensor(_table(start.fixtures[:, 0]))))
+            self._seen_table.place(self._tensor, start.fixtures[:, 0])
 
     def put(self, start: Start, qvel: np.ndarray) -> None:
         """Puts all environments at states between resets; see `begin`."""
@@ -190,7 +169,7 @@ class JaxcamEnv(BaseEnv):
         """Puts all environments at a start, unless None, and the eye where it sees from.
 
         Args:
-            start: of all of them.
+            start: Of all of them.
             world_from_camera: OpenCV axes [B, 4, 4].
         """
         if start is not None:
@@ -203,7 +182,7 @@ class JaxcamEnv(BaseEnv):
         """One control step of all environments, without observations.
 
         Args:
-            targets: of the joints' drives (rad, m) [B, 9].
+            targets: Of the joints' drives (rad, m) [B, 9].
         """
         robot = self.agent.robot
         robot.set_joint_drive_targets(self._tensor(targets), robot.active_joints)
@@ -232,7 +211,7 @@ class JaxcamEnv(BaseEnv):
         return qpos, qvel, grip
 
     def state(self) -> State:
-        """Joints and objects, and the grip; [B, ...] as in `jaxcam.sim.engine.State`."""
+        """Joints and objects, and the grip; [B, ...] as in `jaxcam.sim.types.State`."""
         qpos, qvel, grip = self.numbers()
         count = len(qpos)
         return State(
@@ -255,18 +234,11 @@ class JaxcamEnv(BaseEnv):
         """Gives the task's cameras intrinsics and poses, from the next picture on.
 
         Args:
-            K: pixels [V, 3, 3].
+            K: Pixels [V, 3, 3].
             world_from_camera: OpenCV axes [V, 4, 4].
         """
         for i in range(self.task.views):
-            sensor: Any = self._sensors[f"view_{i}"]
-            camera = sensor.camera
-            (fx, skew, cx), (_, fy, cy) = np.asarray(K[i], float)[:2].tolist()
-            camera.set_perspective_parameters(NEAR, FAR, fx, fy, cx, cy, skew)
-            camera.set_local_pose(_sapien_camera(world_from_camera[i]))
-            # ManiSkill remembers what it thinks never changes.
-            camera._cached_intrinsic_matrix = None
-            camera._cached_extrinsic_matrix = camera._cached_model_matrix = None
+            set_camera(self._sensors[f"view_{i}"], K[i], world_from_camera[i])
 
     def _tensor(self, array: np.ndarray) -> torch.Tensor:
         return torch.as_tensor(np.asarray(array), dtype=torch.float32, device=self.device)
@@ -299,46 +271,7 @@ class JaxcamRollBallEnv(JaxcamEnv, RollBallEnv):
         self.reached_status[env_idx] = 0.0
 
 
-def _table(fixture: np.ndarray) -> np.ndarray:
-    """Poses [B, 7] of the table that is seen, for its shifts and turns [B, 7]."""
-    yaw = 2 * np.arctan2(fixture[:, 6], fixture[:, 3]) + np.pi / 2
-    poses = np.zeros((len(fixture), 7))
-    poses[:, :3] = TABLE
-    poses[:, :2] += fixture[:, :2]
-    poses[:, 3], poses[:, 6] = np.cos(yaw / 2), np.sin(yaw / 2)
-    return poses
-
-
-def _yaw(angle: float) -> list[float]:
-    return [float(np.cos(angle / 2)), 0.0, 0.0, float(np.sin(angle / 2))]
-
-
-def _sapien_camera(world_from_camera: np.ndarray) -> Any:
-    pose = np.asarray(sapien_from_opencv(world_from_camera), float)
-    return sapien.Pose(pose[:3, 3].tolist(), quaternion_from_matrix(pose[:3, :3]).tolist())
-
-
 def _replaced(array: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
     array = array.copy()
     array[rows] = values
     return array
-
-
-def _seen(entity: sapien.Entity) -> Any:
-    """What of an entity is rendered; None without a renderer."""
-    return entity.find_component_by_type(sapien.render.RenderBodyComponent)
-
-
-def _hide(entity: sapien.Entity) -> None:
-    body = _seen(entity)
-    if body is not None:
-        body.visibility = 0.0
-
-
-def _whiten(entity: sapien.Entity) -> None:
-    """Takes the pattern away, which would tell where the camera is."""
-    body = _seen(entity)
-    for shape in [] if body is None else body.render_shapes:
-        for part in shape.parts:
-            part.material.set_base_color([1.0, 1.0, 1.0, 1.0])
-            part.material.set_base_color_texture(None)

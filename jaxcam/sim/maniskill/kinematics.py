@@ -39,7 +39,7 @@ def forward(q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The grip of arms.
 
     Args:
-        q: joint angles (rad) [n, 7].
+        q: Joint angles (rad) [n, 7].
 
     Returns:
         Positions (m) [n, 3] and axes [n, 3, 3] in the base's frame, and Jacobians [n, 6, 7],
@@ -65,10 +65,10 @@ def inverse(
     """Joint angles (rad) [n, 7] that bring grips to poses, or near to what is out of reach.
 
     Args:
-        position: targets (m) in the base's frame [n, 3].
-        rotation: target axes in the base's frame [n, 3, 3].
-        q: joint angles to begin from [n, 7].
-        rest: joint angles that what the pose leaves free is drawn to [n, 7].
+        position: Targets (m) in the base's frame [n, 3].
+        rotation: Target axes in the base's frame [n, 3, 3].
+        q: Joint angles to begin from [n, 7].
+        rest: Joint angles that what the pose leaves free is drawn to [n, 7].
     """
     for _ in range(ITERATIONS):
         at, axes, jacobian = forward(q)

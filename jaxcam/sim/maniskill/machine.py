@@ -26,13 +26,13 @@ With an NVIDIA card, its driver brings Vulkan; containers need NVIDIA_DRIVER_CAP
 """How to get a Vulkan device."""
 ICD_VARIABLES = ("VK_DRIVER_FILES", "VK_ICD_FILENAMES")
 _LAVAPIPE = ("/usr/share/vulkan/icd.d/lvp_icd*.json", "/etc/vulkan/icd.d/lvp_icd*.json")
-_DRAWING = """
+DRAWING = """
 import sapien, sapien.render
 device = sapien.Device({name!r})
 sapien.render.RenderSystem(device)
 print(sapien.render.get_device_summary().split("GPU: ")[1].splitlines()[0])
 """
-_SIMULATING = """
+SIMULATING = """
 import sapien, torch
 assert torch.cuda.is_available(), "PyTorch " + torch.__version__ + " sees no CUDA"
 sapien.physx.enable_gpu()
@@ -60,8 +60,8 @@ class Device(NamedTuple):
             )  # fmt: skip
         except subprocess.TimeoutExpired:
             return cls("", f"no answer within {_PATIENCE} s")
-        told = (done.stderr if done.returncode else done.stdout).strip().splitlines()
-        name = told[-1] if told else f"SAPIEN ended with exit code {done.returncode}"
+        lines = (done.stderr if done.returncode else done.stdout).strip().splitlines()
+        name = lines[-1] if lines else f"SAPIEN ended with exit code {done.returncode}"
         return cls("" if done.returncode else kind, name)
 
 
@@ -96,8 +96,8 @@ def has_nvidia() -> bool:
 @functools.cache
 def device() -> Device:
     """What SAPIEN can draw with here: an NVIDIA card, else a processor, else nothing."""
-    card = Device.found("gpu", _DRAWING.format(name="cuda")) if has_nvidia() else Device("", "")
-    return card if card.kind else Device.found("cpu", _DRAWING.format(name="cpu"))
+    card = Device.found("gpu", DRAWING.format(name="cuda")) if has_nvidia() else Device("", "")
+    return card if card.kind else Device.found("cpu", DRAWING.format(name="cpu"))
 
 
 @functools.cache
@@ -110,7 +110,12 @@ def cuda() -> Device:
         return Device("", "there is no NVIDIA card with its driver")
     if device().kind != "gpu":
         return Device("", f"SAPIEN cannot draw on the card ({device().name})")
-    return Device.found("gpu", _SIMULATING)
+    return Device.found("gpu", SIMULATING)
+
+
+def has_accelerator() -> bool:
+    """Whether ManiSkill can simulate on a card here, see `cuda`."""
+    return bool(cuda().kind)
 
 
 def require() -> None:

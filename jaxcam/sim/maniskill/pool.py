@@ -7,6 +7,7 @@ all that is needed to answer them. After that the error shows the child's last w
 
 import atexit
 import contextlib
+import functools
 import json
 import logging
 import os
@@ -24,7 +25,7 @@ from typing import Any
 from jaxcam.errors import SimError
 from jaxcam.sim.maniskill.machine import device, environment, require, require_cuda
 from jaxcam.sim.maniskill.memory import Memory, Sizes, open_memory
-from jaxcam.sim.maniskill.task import SapienWorld
+from jaxcam.sim.maniskill.scene import SapienWorld
 from jaxcam.sim.maniskill.worlds import Assignment
 
 STALL = 180.0
@@ -44,8 +45,8 @@ class Child:
     """One child process, started when it is first asked.
 
     Args:
-        world: the world it simulates.
-        on_gpu: whether it simulates on a card.
+        world: The world it simulates.
+        on_gpu: Whether it simulates on a card.
     """
 
     def __init__(self, world: SapienWorld, *, on_gpu: bool = False) -> None:
@@ -84,9 +85,9 @@ class Child:
                 done, value = self._wait()
             except _LostError as lost:
                 if not self._restarts:
-                    raise SimError(self._told(str(lost))) from lost
+                    raise SimError(self._account(str(lost))) from lost
                 self._restarts -= 1
-                _LOG.warning("%s It is started anew.", self._told(str(lost)))
+                _LOG.warning("%s It is started anew.", self._account(str(lost)))
                 self._kill()
                 self.ask(*self._asked)
                 continue
@@ -112,11 +113,11 @@ class Child:
 
     def _start(self) -> None:
         to = Assignment(self._world.env, self._world.name, self._on_gpu, device().kind, self._sizes)
-        told = json.dumps({**asdict(to), "sizes": self._sizes._asdict()})
+        assignment = json.dumps({**asdict(to), "sizes": self._sizes._asdict()})
         ours, theirs = socketpair()
         ends = (theirs.fileno(), self._file)
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "jaxcam.sim.maniskill.worker", *map(str, ends), told],
+            [sys.executable, "-m", "jaxcam.sim.maniskill.worker", *map(str, ends), assignment],
             pass_fds=ends, env=environment(),
             stdin=subprocess.DEVNULL, stdout=self._words, stderr=self._words,
         )  # fmt: skip
@@ -145,7 +146,7 @@ class Child:
         self._pipe.close()
         self._process = None
 
-    def _told(self, what: str) -> str:
+    def _account(self, what: str) -> str:
         self._words.seek(0)
         lines = self._words.read().decode(errors="replace").strip().splitlines()[-LAST_LINES:]
         words = "\n".join(line[:LINE_LENGTH] for line in lines) or "(nothing)"
@@ -166,9 +167,9 @@ class Pool:
     """The children of one world.
 
     Args:
-        world: the world.
-        on_gpu: whether one child has all its worlds, and simulates and draws them on a card.
-        most: children at most, on the CPU; the machine's cores, up to `MOST`, when None.
+        world: The world.
+        on_gpu: Whether one child has all its worlds, and simulates and draws them on a card.
+        most: Children at most, on the CPU; the machine's cores, up to `MOST`, when None.
     """
 
     def __init__(
@@ -226,10 +227,9 @@ def pool_of(world: SapienWorld, *, on_gpu: bool = False) -> Pool:
         SimError: if this machine cannot run them; the message says what is missing.
     """
     require_cuda() if on_gpu else require()
-    key = (world.task, world.name, on_gpu)
-    if key not in _pools:
-        _pools[key] = Pool(world, on_gpu=on_gpu)
-    return _pools[key]
+    return _shared(world, on_gpu)
 
 
-_pools: dict[tuple[str, str, bool], Pool] = {}
+@functools.cache
+def _shared(world: SapienWorld, on_gpu: bool) -> Pool:
+    return Pool(world, on_gpu=on_gpu)

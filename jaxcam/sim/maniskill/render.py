@@ -1,24 +1,20 @@
 """Batched pictures of ManiSkill's worlds by SAPIEN's rasteriser, in child processes."""
 
+from collections.abc import Sequence
 from importlib.metadata import version
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxcam.sim.maniskill.machine import device
+from jaxcam.sim.maniskill.machine import device, has_accelerator
 from jaxcam.sim.maniskill.memory import PIXELS, ROWS
-from jaxcam.sim.maniskill.pool import Pool
+from jaxcam.sim.maniskill.pool import Pool, pool_of
+from jaxcam.sim.maniskill.scene import SapienWorld
 from jaxcam.sim.maniskill.studio import SHADER
-from jaxcam.sim.maniskill.task import SapienWorld
-from jaxcam.sim.world import View
+from jaxcam.sim.types import View
 
 RGB_BYTES, LAYER_BYTES = 3, 11
 """Bytes of a pixel: of its colour alone, and with depth and segment."""
-
-
-def look() -> str:
-    """What makes one painter's pictures differ from another's: drivers differ in last digits."""
-    return f"sapien{version('sapien')}-{SHADER}-{device().kind}"
 
 
 class Layers(NamedTuple):
@@ -38,17 +34,35 @@ class SapienPainter:
     """Draws batches of views of one world.
 
     Args:
-        scene: the world.
-        height: of the pictures (pixels).
-        width: of the pictures (pixels); `height` when None.
-        pool: processes that draw it.
+        scene: The world.
+        height: Of the pictures (pixels).
+        width: Of the pictures (pixels); `height` when None.
+        varied: Geoms whose sizes differ between episodes: none do here.
+        pool: Processes that draw it; those that the world's other engines and painters use, when
+            None.
     """
 
     def __init__(
-        self, scene: SapienWorld, height: int, width: int | None = None, *, pool: Pool
+        self,
+        scene: SapienWorld,
+        height: int,
+        width: int | None = None,
+        *,
+        varied: Sequence[str] = (),
+        pool: Pool | None = None,
     ) -> None:
         self.scene, self.height, self.width = scene, height, width or height
-        self._pool = pool
+        self.pool = pool or pool_of(scene, on_gpu=has_accelerator())
+
+    @staticmethod
+    def look() -> str:
+        """SAPIEN's version and ManiSkill's shader; drivers differ in last digits."""
+        return f"sapien{version('sapien')}-{SHADER}-{device().kind}"
+
+    @staticmethod
+    def uses_all_cores() -> bool:
+        """Each of its child processes draws on a core, or one on the card."""
+        return True
 
     def rgb(self, view: View) -> np.ndarray:
         """Pictures, uint8 [B, H, W, 3], top row first."""
@@ -61,12 +75,12 @@ class SapienPainter:
     def _draw(self, view: View, *, layers: bool) -> Layers:
         count, height, width = len(view.qpos), self.height, self.width
         size, deep = (count, height, width), (count * layers, height, width)
-        found = Layers(
+        drawn = Layers(
             np.empty((*size, 3), np.uint8), np.empty(deep, np.float32), np.empty(deep, np.int32), []
         )
         room = PIXELS // ((LAYER_BYTES if layers else RGB_BYTES) * height * width)
         room = max(1, min(ROWS, room))
-        children = self._pool.children(count)
+        children = self.pool.children(count)
         parts = np.array_split(np.arange(count), len(children))
         for first in range(0, max(len(part) for part in parts), room):
             shares = [
@@ -78,12 +92,12 @@ class SapienPainter:
                 memory, n = child.memory, len(rows)
                 memory.qpos[:n], memory.fixtures[:n] = view.qpos[rows], view.fixtures[rows]
                 memory.K[:n], memory.camera[:n] = view.K[rows], view.world_from_camera[rows]
-            names = self._pool.each(
+            names = self.pool.each(
                 [(child, ("draw", len(rows), height, width, layers)) for child, rows in shares]
             )
             for child, rows in shares:
-                drawn = child.memory.layers(len(rows), height, width)
-                for out, part in zip(found[:3] if layers else found[:1], drawn, strict=False):
+                shared = child.memory.layers(len(rows), height, width)
+                for out, part in zip(drawn[:3] if layers else drawn[:1], shared, strict=False):
                     out[rows] = part
-            found = found._replace(names=names[0])
-        return found
+            drawn = drawn._replace(names=names[0])
+        return drawn

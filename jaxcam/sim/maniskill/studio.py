@@ -4,9 +4,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxcam.sim.engine import Start
 from jaxcam.sim.maniskill.memory import FAR, NEAR
 from jaxcam.sim.maniskill.worlds import Assignment, open_env
+from jaxcam.sim.types import Start
 
 SHADER = "minimal"
 """ManiSkill's own choice for its cameras."""
@@ -15,7 +15,7 @@ CAMERA_ERROR = 1e-3
 
 
 class Asked(NamedTuple):
-    """Views to draw, as `jaxcam.sim.world.View` has them."""
+    """Views to draw, as `jaxcam.sim.types.View` has them."""
 
     qpos: np.ndarray
     fixtures: np.ndarray
@@ -30,10 +30,10 @@ class Studio:
     there are as many as the largest batch, and SAPIEN settles intrinsics with the first picture.
 
     Args:
-        to: the worlds.
-        height: of pictures (pixels).
-        width: of pictures (pixels).
-        K: intrinsics of a batch [n, 3, 3].
+        to: The worlds.
+        height: Of pictures (pixels).
+        width: Of pictures (pixels).
+        K: Intrinsics of a batch [n, 3, 3].
     """
 
     def __init__(self, to: Assignment, height: int, width: int, K: np.ndarray) -> None:

@@ -23,8 +23,8 @@ class Worker:
     """Answers requests; each is a method here.
 
     Args:
-        to: what it is for.
-        memory: shared with the parent.
+        to: What it is for.
+        memory: Shared with the parent.
     """
 
     def __init__(self, to: Assignment, memory: Memory) -> None:
@@ -103,8 +103,9 @@ def main() -> None:
     """The child's life: requests until the parent closes its end."""
     faulthandler.enable()  # a crash in SAPIEN says where
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer
-    pipe, file, told = Connection(int(sys.argv[1])), int(sys.argv[2]), json.loads(sys.argv[3])
-    to = Assignment(**{**told, "sizes": Sizes(**told["sizes"])})
+    pipe, file = Connection(int(sys.argv[1])), int(sys.argv[2])
+    settings = json.loads(sys.argv[3])
+    to = Assignment(**{**settings, "sizes": Sizes(**settings["sizes"])})
     memory = open_memory(file, to.sizes)
     worker: Worker | None = None
     while True:

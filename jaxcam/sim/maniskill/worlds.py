@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxcam.sim.engine import Start
 from jaxcam.sim.maniskill.memory import JOINTS, Sizes
+from jaxcam.sim.types import Start
 
 CONTROL_MODE = "pd_joint_pos"
 
@@ -57,7 +57,7 @@ class SeparateWorlds:
     A state is qpos and qvel, one after the other.
 
     Args:
-        to: what they are.
+        to: What they are.
     """
 
     def __init__(self, to: Assignment) -> None:
@@ -164,7 +164,7 @@ class BatchedWorlds:
     not to disturb the others.
 
     Args:
-        to: what they are.
+        to: What they are.
     """
 
     def __init__(self, to: Assignment) -> None:

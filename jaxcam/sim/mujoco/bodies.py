@@ -10,9 +10,9 @@ def box_inertia(model: mujoco.MjModel, geom: int, half: Array) -> tuple[int, Arr
     """What a box of other size weighs, its density being that of the model.
 
     Args:
-        model: in which the box has its usual size, alone on its body.
-        geom: the box.
-        half: half-sizes (m) [B, 3].
+        model: In which the box has its usual size, alone on its body.
+        geom: The box.
+        half: Half-sizes (m) [B, 3].
 
     Returns:
         Its body, masses (kg) [B] and principal inertias (kg m²) [B, 3].

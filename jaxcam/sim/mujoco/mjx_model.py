@@ -23,9 +23,9 @@ def resized(model: mujoco.MjModel, geoms: Sequence[int], sizes: Array) -> Bodies
     As MuJoCo's compiler and `mj_setConst` derive them for a free body of uniform density.
 
     Args:
-        model: in which the boxes have their usual sizes.
-        geoms: the boxes; none give no fields.
-        sizes: half-sizes (m) [B, v, 3].
+        model: In which the boxes have their usual sizes.
+        geoms: The boxes; none give no fields.
+        sizes: Half-sizes (m) [B, v, 3].
     """
     if not geoms:
         return {}

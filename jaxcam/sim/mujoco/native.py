@@ -14,14 +14,15 @@ from numba.extending import overload, register_jitable
 
 from jaxcam.sim import controllers
 from jaxcam.sim.controllers import Sensed
-from jaxcam.sim.engine import Command, ControllerName, Engine, Start, State
+from jaxcam.sim.engine import Engine
 from jaxcam.sim.mujoco.bodies import box_inertia, full_from_sparse
 from jaxcam.sim.mujoco.scene import Scene
+from jaxcam.sim.types import Command, ControllerName, Start, State
 
-_TOGETHER = 64
+TOGETHER = 64
 """Worlds that go through a control step together, at most: few enough that their data stays in a
 core's cache, enough to share the fixed cost of a call."""
-_LEAST = 4
+LEAST = 4
 """Worlds that a further thread is worth: with fewer, threads only wait for each other's calls."""
 _BAD = [
     int(mujoco.mjtWarning.mjWARN_BADQPOS),
@@ -98,11 +99,11 @@ class NativeEngine(Engine):
     every substep, as robosuite's does.
 
     Args:
-        scene: whose physics model is stepped.
+        scene: Whose physics model is stepped.
         controller: `osc_pose` or `joint_position`.
-        varied: geoms whose sizes differ between episodes (`Start.geom_size`); each must be the only
+        varied: Geoms whose sizes differ between episodes (`Start.geom_size`); each must be the only
             geom with mass of its body, which must be a box of uniform density.
-        threads: number of threads; the machine's cores when None.
+        threads: Number of threads; the machine's cores when None.
     """
 
     def __init__(
@@ -122,7 +123,7 @@ class NativeEngine(Engine):
         self._pool = ThreadPoolExecutor(self._threads)
         self._varied = [scene.physics.geom(name).id for name in varied]
         self._limits = scene.physics.actuator_ctrlrange[scene.arm].T
-        self._shares: list[_Share] = []
+        self.shares: list[Share] = []
         self._places: list[slice] = []
 
     def reset(self, start: Start) -> State:
@@ -140,7 +141,7 @@ class NativeEngine(Engine):
             grip_rotation=np.empty((count, 3, 3)),
             ok=np.ones(count, bool),
         )
-        for share, place in zip(self._shares, self._places, strict=True):
+        for share, place in zip(self.shares, self._places, strict=True):
             part = State(*(x[place] for x in state))
             share.resize(self._varied, start.geom_size[place])
             everyone = np.arange(len(part.ok))
@@ -166,7 +167,7 @@ class NativeEngine(Engine):
                 target[place],
                 np.flatnonzero(run[place]),
             )
-            for share, place in zip(self._shares, self._places, strict=True)
+            for share, place in zip(self.shares, self._places, strict=True)
         ]
         for done in work:
             done.result()
@@ -174,35 +175,35 @@ class NativeEngine(Engine):
 
     def _split(self, count: int) -> None:
         """Shares out `count` worlds."""
-        shares = min(self._threads, max(1, count // _LEAST))
+        shares = min(self._threads, max(1, count // LEAST))
         edges = np.linspace(0, count, shares + 1).astype(int).tolist()
         self._places = [slice(*ends) for ends in itertools.pairwise(edges)]
-        self._shares = [_Share(self.scene, place.stop - place.start) for place in self._places]
+        self.shares = [Share(self.scene, place.stop - place.start) for place in self._places]
 
-    def _advance(self, share: "_Share", state: State, target: np.ndarray, rows: np.ndarray) -> None:
+    def _advance(self, share: "Share", state: State, target: np.ndarray, rows: np.ndarray) -> None:
         """Runs `rows` of a share through one control step, in place."""
-        for together in np.array_split(rows, -(-len(rows) // _TOGETHER) or 1):
+        for together in np.array_split(rows, -(-len(rows) // TOGETHER) or 1):
             goal = controllers.goal(self.controller, target[together], state.rest[together])
             goal = tuple(np.ascontiguousarray(x) for x in goal)
             share.load(together, state, afresh=False)
             self._substeps(share, together, goal)
             share.store(together, state)
 
-    def _substeps(self, share: "_Share", rows: np.ndarray, goal: tuple[np.ndarray, ...]) -> None:
+    def _substeps(self, share: "Share", rows: np.ndarray, goal: tuple[np.ndarray, ...]) -> None:
         torques = TORQUES[self.controller]
         for _ in range(self.substeps):
             torque = share.control(torques, rows, goal)
             share.step(rows, np.clip(torque, *self._limits))
 
 
-class _Share:
+class Share:
     """The worlds of one thread, between calls always computed up to the velocity stage."""
 
     def __init__(self, scene: Scene, count: int) -> None:
         model = self._model = scene.physics
         # Two at least: slices of a single row have no gaps, for which Numba would compile anew.
         count = max(count, 2)
-        self._batch = batch = Batch(model, count, nthread=1, persistent=True)
+        self.batch = batch = Batch(model, count, nthread=1, persistent=True)
         self._arm = slice(int(scene.arm[0]), int(scene.arm[-1]) + 1)
         self._fingers = scene.fingers
         self._mass_at = full_from_sparse(model)[self._arm, self._arm]
@@ -226,7 +227,7 @@ class _Share:
         if self._sizes is not None and np.array_equal(self._sizes, sizes):
             return
         self._sizes = np.array(sizes, float)
-        drawn, batch = self._model, self._batch
+        drawn, batch = self._model, self.batch
         for i, geom in enumerate(geoms):
             half = self._sizes[:, i]
             # Of the scene's model, not the last size's: a world's past must leave no rounding.
@@ -250,11 +251,11 @@ class _Share:
         for have, want in zip(self._state, wanted, strict=True):
             moved |= (have[rows] != want).any(-1)
             have[rows] = want
-        self._batch.warning[rows] = 0
+        self.batch.warning[rows] = 0
         self._ctrl[rows] = 0
         self._ctrl[rows[:, None], self._fingers] = controllers.finger_targets(state.closed[rows])
         if moved.any():
-            self._batch.forward(rows[moved], stage=_VELOCITY)
+            self.batch.forward(rows[moved], stage=_VELOCITY)
 
     def control(
         self, torques: Callable[..., None], rows: np.ndarray, goal: tuple[np.ndarray, ...]
@@ -267,11 +268,11 @@ class _Share:
     def step(self, rows: np.ndarray, torque: np.ndarray) -> None:
         """Advances worlds one substep."""
         self._ctrl[rows, self._arm] = torque
-        self._batch.step(rows, stage=_VELOCITY)
+        self.batch.step(rows, stage=_VELOCITY)
 
     def diverged(self, rows: np.ndarray) -> np.ndarray:
         """Which worlds MuJoCo has warned of since they were loaded."""
-        return self._batch.warning[rows][:, _BAD, 1].any(-1)
+        return self.batch.warning[rows][:, _BAD, 1].any(-1)
 
     def store(self, rows: np.ndarray, state: State) -> None:
         """Writes where worlds are into a state."""

@@ -11,55 +11,21 @@ package; nothing of robosuite runs at simulation time. From that one MJCF two mo
 Both have the same joints in the same order, so one `qpos` serves both.
 """
 
-import logging
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import mujoco
 import numpy as np
 
-from jaxcam.errors import ConfigError, closest
 from jaxcam.sim.controllers import JOINT_LAG
-from jaxcam.sim.engine import ControllerName, Engine
-from jaxcam.sim.world import Painter, World
+from jaxcam.sim.mujoco.mjcf import TABLE_SIZE, assemble
+from jaxcam.sim.mujoco.objects import Object
+from jaxcam.sim.mujoco.table import TABLE_TOP, TableTask
+from jaxcam.sim.simulators import SimulatorName
+from jaxcam.sim.world import World, scene_name
 
-_disabled = logging.root.manager.disable
-logging.disable(logging.WARNING)  # robosuite warns of parts of it that are not used here
-from robosuite.models.arenas import TableArena  # noqa: E402
-from robosuite.models.bases import robot_base_factory  # noqa: E402
-from robosuite.models.grippers import PandaGripper  # noqa: E402
-from robosuite.models.objects import (  # noqa: E402
-    BoxObject,
-    CanObject,
-    CanVisualObject,
-    CompositeObject,
-    SquareNutObject,
-)
-from robosuite.models.robots import Panda  # noqa: E402
-from robosuite.models.tasks import ManipulationTask  # noqa: E402
-
-logging.disable(_disabled)
-
-__all__ = [
-    "SCENES",
-    "TABLE_TOP",
-    "BoxObject",
-    "CanObject",
-    "CanVisualObject",
-    "CompositeObject",
-    "Scene",
-    "SquareNutObject",
-    "build_scene",
-    "prism",
-]
-
-SCENES = ("fixed", "randomized")
-
-TABLE_TOP = 0.8
-"""Height of the table's surface (m), robosuite's default."""
-TABLE_SIZE = (0.8, 0.8, 0.05)
-"""Full size of the table (m), robosuite's default."""
 SHEET_HALF_SIZE = 1.0
 """Half-size (m) of the wide table top of the randomised scene: it reaches under the robot wherever
 the draw puts it, so its edges tell nothing of the robot's pose."""
@@ -72,13 +38,13 @@ GRIP_SITE = "gripper0_right_grip_site"
 _COLLIDES = ("table_collision", "floor", "gripper0_right_")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Scene(World):
     """One task's world in MuJoCo: the two models and where the robot is in their arrays."""
 
-    engines: ClassVar[tuple[str, ...]] = ("native", "mjx-jax", "mjx-warp")
-    packages: ClassVar[tuple[str, ...]] = ("mujoco", "robosuite")
+    simulator: ClassVar[SimulatorName] = "mujoco"
     table_top: ClassVar[float] = TABLE_TOP
+    table_middle: ClassVar[float] = TABLE_TOP - TABLE_SIZE[2] / 2
 
     physics: mujoco.MjModel
     """Slim model that engines step."""
@@ -89,66 +55,28 @@ class Scene(World):
     fixtures: np.ndarray = field(repr=False)
     """Indices of table, room and markers among the visual model's mocap bodies."""
     joint_lag: float = JOINT_LAG
-    table_thickness: float = TABLE_SIZE[2]
 
     def qpos_of(self, body: str) -> int:
         """Address in qpos of the free joint (xyz, wxyz) of an object's body."""
         return int(self.physics.joint(f"{body}_joint0").qposadr[0])
 
-    def engine(self, name: str, controller: ControllerName, varied: Sequence[str] = ()) -> Engine:
-        """MuJoCo's C library, or MJX; see `World.engine`."""
-        if name == "native":
-            from jaxcam.sim.mujoco.native import NativeEngine
-
-            return NativeEngine(self, controller, varied)
-        from jaxcam.sim.mujoco.mjx import MjxEngine
-
-        return MjxEngine(self, controller, varied, "jax" if name == "mjx-jax" else "warp")
-
-    @property
-    def fastest_engine(self) -> str:
-        """MJX-Warp on an accelerator, the C library without."""
-        import jax
-
-        return "native" if jax.default_backend() == "cpu" else "mjx-warp"
-
-    def painter(
-        self, height: int, width: int | None = None, *, varied: Sequence[str] = ()
-    ) -> Painter:
-        """MJX's ray tracer; see `World.painter`."""
-        from jaxcam.sim.mujoco.render import Renderer
-
-        return Renderer(self, height, width, varied=tuple(varied))
-
-    @property
-    def look(self) -> str:
-        """The ray tracer's version and settings."""
-        from jaxcam.sim.mujoco.render import Renderer
-
-        return Renderer.identity()
-
-    @property
-    def painter_uses_all_cores(self) -> bool:
-        """On a GPU; on a CPU Warp draws with one thread."""
-        import jax
-
-        return jax.default_backend() != "cpu"
+    def size_of(self, geom: str) -> np.ndarray:
+        """Usual size (m) [3] of a geom of the physics model; `<geom>_vis` is drawn."""
+        return self.physics.geom(geom).size
 
 
-def prism(radius: float, half_height: float, sides: int) -> np.ndarray:
-    """Corners [2 * sides, 3] of an upright prism; `radius` (m) is the mean of its in- and outer.
+def scene_of(task: TableTask, name: str) -> Scene:
+    """A task's world; made once a process, see `build_scene`."""
+    return _scene_of(type(task), name)
 
-    It stands in for a cylinder, which MJX-JAX cannot collide with boxes and meshes.
-    """
-    turn = 2 * np.pi * (np.arange(sides) + 0.5) / sides
-    outer = 2 * radius / (1 + np.cos(np.pi / sides))
-    ring = outer * np.stack([np.cos(turn), np.sin(turn)], -1)
-    ends = np.repeat([-half_height, half_height], sides)
-    return np.column_stack([np.tile(ring, (2, 1)), ends])
+
+@functools.cache
+def _scene_of(task: type[TableTask], name: str) -> Scene:
+    return build_scene(task().objects(), name, task.markers, task.hulls)
 
 
 def build_scene(
-    objects: Sequence[Any],
+    objects: Sequence[Object],
     name: str,
     markers: Sequence[str] = (),
     hulls: Mapping[str, np.ndarray] | None = None,
@@ -156,13 +84,13 @@ def build_scene(
     """Puts objects on robosuite's table before its Panda.
 
     Args:
-        objects: robosuite `MujocoObject`s; their free joints are named `<name>_joint0`.
+        objects: What stands on the table.
         name: `fixed` shows robosuite's table and room where they stand; `randomized` shows a wide
             table top and a floor, to be moved per episode (paper, section IV-A; the authors'
             `LiftRand` shows a visual sheet and hides the real table).
-        markers: names of the objects, made without joints, that are seen and never touched; they
+        markers: Names of the objects, made without joints, that are seen and never touched; they
             become mocap bodies of the visual model.
-        hulls: corners (m) [n, 3] of the convex hulls that geoms collide with, by the geom's name;
+        hulls: Corners (m) [n, 3] of the convex hulls that geoms collide with, by the geom's name;
             masses and inertias stay the objects' own.
 
     Returns:
@@ -171,17 +99,8 @@ def build_scene(
     Raises:
         ConfigError: if there is no such scene.
     """
-    if name not in SCENES:
-        raise ConfigError(f"Unknown scene {name!r}{closest(name, SCENES)}.")
-    robot = Panda()
-    robot.add_base(robot_base_factory(robot.default_base, idn=0))
-    robot.add_gripper(PandaGripper(idn="0_right"))  # type: ignore[arg-type]
-    base = np.asarray(robot.base_xpos_offset["table"](TABLE_SIZE[0]), float)
-    robot.set_base_xpos(base)
-    arena = TableArena(table_full_size=TABLE_SIZE, table_offset=(0, 0, TABLE_TOP))
-    arena.set_origin([0, 0, 0])
-    task = ManipulationTask(mujoco_arena=arena, mujoco_robots=[robot], mujoco_objects=list(objects))
-    xml = task.get_xml()
+    known_name = scene_name(name)
+    xml, home = assemble(objects, TABLE_TOP)
     full = mujoco.MjModel.from_xml_string(xml)
     names = tuple(o.name for o in objects if o.name not in markers)
     physics = _physics_model(xml, full, names, markers, hulls or {})
@@ -196,13 +115,14 @@ def build_scene(
     return Scene(
         physics=physics,
         visual=visual,
-        name=name,
+        name=known_name,
         nq=physics.nq,
         nv=physics.nv,
+        qpos0=physics.qpos0.copy(),
         arm=np.array([physics.joint(j).qposadr[0] for j in joints]),
         fingers=np.array([physics.joint(j).qposadr[0] for j in fingers]),
         grip_site=int(physics.site(GRIP_SITE).id),
-        home=np.asarray(robot.init_qpos, float),
+        home=home,
         fixtures=np.array(
             [int(visual.body(b).mocapid[0]) for b in (*FIXTURES, *(f"{m}_main" for m in markers))]
         ),

@@ -1,16 +1,16 @@
 """Lift: pick a small cube up from the table."""
 
 from collections.abc import Iterator
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from jaxcam.rays.rotations import Array
-from jaxcam.sim.engine import Start, State
 from jaxcam.sim.experts import CLOSE, OPEN, Hand
-from jaxcam.sim.mujoco.scene import TABLE_TOP, BoxObject, Scene
-from jaxcam.sim.mujoco.table import TableTask
-from jaxcam.sim.task import Aim, Sight
+from jaxcam.sim.mujoco.objects import Box
+from jaxcam.sim.mujoco.table import TABLE_TOP, TableTask
+from jaxcam.sim.types import Aim, Sight, Start, State
+from jaxcam.sim.world import World
 
 HALF_SIZE = (0.020, 0.022)
 """Range (m) of the cube's half-sizes, each side drawn by itself (robosuite, the authors)."""
@@ -33,12 +33,12 @@ class Lift(TableTask):
     stair: ClassVar[tuple[int, int]] = (3, 1)
     varied: ClassVar[tuple[str, ...]] = ("cube_g0",)
 
-    def objects(self) -> list[Any]:
+    def objects(self) -> list[Box]:
         """One green cube."""
-        middle = [sum(HALF_SIZE) / 2] * 3
-        return [BoxObject(name="cube", size=middle, rgba=[0.10, 0.62, 0.22, 1])]
+        half = sum(HALF_SIZE) / 2
+        return [Box("cube", half_size=(half, half, half), rgba=(0.10, 0.62, 0.22, 1))]
 
-    def place(self, scene: Scene, rng: np.random.Generator, start: Start) -> None:
+    def place(self, scene: World, rng: np.random.Generator, start: Start) -> None:
         """Anywhere within 0.2 m of the table's centre, any yaw, 1 cm above the table."""
         start.geom_size[0] = half = rng.uniform(*HALF_SIZE, 3)
         qpos = start.qpos
@@ -48,11 +48,11 @@ class Lift(TableTask):
         qpos[cube + 2] = TABLE_TOP + half[2] + 0.01
         qpos[cube + 3 : cube + 7] = [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
 
-    def success(self, scene: Scene, state: State, start: Start) -> Array:
+    def success(self, scene: World, state: State, start: Start) -> Array:
         """The cube's centre is more than 4 cm above the table."""
         return state.qpos[..., scene.qpos_of("cube") + 2] > TABLE_TOP + LIFTED
 
-    def expert(self, scene: Scene, sight: Sight) -> Iterator[Aim]:
+    def expert(self, scene: World, sight: Sight) -> Iterator[Aim]:
         """Down a funnel onto the cube, close, up; the gripper keeps the orientation it starts with.
 
         The farther off to the side the gripper is, the higher it stays, so that it neither hits

@@ -1,16 +1,16 @@
 """Lift Upright: stand a lying peg up."""
 
 from collections.abc import Iterator
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from jaxcam.rays import POSE_RANGES, PoseRanges
 from jaxcam.rays.rotations import Array, matrix_from_quaternion, matrix_from_rotvec
-from jaxcam.sim.engine import Start, State
 from jaxcam.sim.experts import CLOSE, OPEN, Hand, pushing_grip
-from jaxcam.sim.maniskill.task import ManiSkillTask, SapienWorld
-from jaxcam.sim.task import Aim, Sight
+from jaxcam.sim.maniskill.task import ManiSkillTask
+from jaxcam.sim.types import Aim, Sight, Start, State
+from jaxcam.sim.world import World
 
 HALF_LENGTH, HALF_WIDTH = 0.12, 0.025
 """Of the peg (m), ManiSkill's; it is as high as wide and long along its x axis."""
@@ -41,11 +41,11 @@ class LiftUpright(ManiSkillTask):
     cameras: ClassVar[PoseRanges] = POSE_RANGES["maniskill_lift_upright"]
     fovy_deg: ClassVar[float] = float(np.rad2deg(1.0))
 
-    def objects(self) -> list[Any]:
+    def objects(self) -> list[str]:
         """The peg, by ManiSkill's name."""
         return ["peg"]
 
-    def place(self, scene: SapienWorld, rng: np.random.Generator, start: Start) -> None:
+    def place(self, scene: World, rng: np.random.Generator, start: Start) -> None:
         """Flat on the table, within 0.1 m of a point before the robot, any yaw."""
         peg = scene.qpos_of("peg")
         start.qpos[peg : peg + 2] = np.add(MIDDLE, rng.uniform(-PLACEMENT, PLACEMENT, 2))
@@ -55,13 +55,13 @@ class LiftUpright(ManiSkillTask):
         turned = [np.cos(half), np.cos(half), np.sin(half), np.sin(half)]
         start.qpos[peg + 3 : peg + 7] = np.sqrt(0.5) * np.array(turned)
 
-    def success(self, scene: SapienWorld, state: State, start: Start) -> Array:
+    def success(self, scene: World, state: State, start: Start) -> Array:
         """The peg is within 20° of the vertical, either end up, at any height (authors)."""
         peg = scene.qpos_of("peg")
         w, x, y, z = (state.qpos[..., peg + 3 + i] for i in range(4))
         return abs(2 * (x * z - w * y)) > UPRIGHT
 
-    def expert(self, scene: SapienWorld, sight: Sight) -> Iterator[Aim]:
+    def expert(self, scene: World, sight: Sight) -> Iterator[Aim]:
         """Over the peg's nearer half, down, close, up, turn towards the robot, down, open.
 
         Turned the other way, the wrist would be at the end of its range.

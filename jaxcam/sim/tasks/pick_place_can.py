@@ -1,20 +1,20 @@
 """Pick Place Can: put the can where its ghost stands."""
 
 from collections.abc import Iterator, Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from jaxcam.rays.rotations import Array, array_namespace
-from jaxcam.sim.engine import Start, State
 from jaxcam.sim.experts import CLOSE, OPEN, Hand, easy_grip, funnel
-from jaxcam.sim.mujoco.scene import TABLE_TOP, CanObject, CanVisualObject, Scene, prism
-from jaxcam.sim.mujoco.table import TableTask
-from jaxcam.sim.task import Aim, Sight
+from jaxcam.sim.mujoco.objects import Can, CanGhost, prism
+from jaxcam.sim.mujoco.table import TABLE_TOP, TableTask
+from jaxcam.sim.types import Aim, Sight, Start, State
+from jaxcam.sim.world import World
 
 RADIUS, HALF_HEIGHT = 0.026, 0.040
 """Of robosuite's can (m); its origin is its centre."""
-GHOST_SIZE, GHOST_COLOUR = 0.85, "0.42 0.74 0.92 1"
+GHOST_SIZE, GHOST_COLOUR = 0.85, (0.42, 0.74, 0.92, 1.0)
 """The ghost is smaller, so that the can hides it in the end: the ray tracer draws it solid."""
 PLACEMENT = 0.2
 """Half-range (m) of x and y of can and target on the table (authors' CanRand)."""
@@ -42,15 +42,11 @@ class PickPlaceCan(TableTask):
     markers: ClassVar[tuple[str, ...]] = ("target",)
     hulls: ClassVar[Mapping[str, np.ndarray]] = {"can_g0": prism(RADIUS, HALF_HEIGHT, 8)}
 
-    def objects(self) -> list[Any]:
+    def objects(self) -> list[Can | CanGhost]:
         """The can, and its ghost where it belongs."""
-        ghost: Any = CanVisualObject(name="target")
-        ghost.set_scale(GHOST_SIZE)
-        for geom in ghost.get_obj().iter("geom"):
-            geom.set("rgba", GHOST_COLOUR)
-        return [CanObject(name="can"), ghost]
+        return [Can("can"), CanGhost("target", scale=GHOST_SIZE, rgba=GHOST_COLOUR)]
 
-    def place(self, scene: Scene, rng: np.random.Generator, start: Start) -> None:
+    def place(self, scene: World, rng: np.random.Generator, start: Start) -> None:
         """Both within 0.2 m of the table's centre, 0.15 m apart; the can 1 cm above the table."""
         place = rng.uniform(-PLACEMENT, PLACEMENT, (2, 2))
         while np.linalg.norm(place[0] - place[1]) < APART:
@@ -60,7 +56,7 @@ class PickPlaceCan(TableTask):
         start.qpos[can + 3 : can + 7] = [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
         start.fixtures[2, :3] = *place[1], TABLE_TOP + HALF_HEIGHT
 
-    def success(self, scene: Scene, state: State, start: Start) -> Array:
+    def success(self, scene: World, state: State, start: Start) -> Array:
         """The can is within 5 cm of the target to the side, and no higher than a hand's width."""
         can = scene.qpos_of("can")
         xp = array_namespace(state.qpos)
@@ -68,7 +64,7 @@ class PickPlaceCan(TableTask):
         height = state.qpos[..., can + 2] - TABLE_TOP
         return (xp.sqrt((aside**2).sum(-1)) <= NEAR) & (height > 0) & (height < LOW)
 
-    def expert(self, scene: Scene, sight: Sight) -> Iterator[Aim]:
+    def expert(self, scene: World, sight: Sight) -> Iterator[Aim]:
         """Over the can, down, close, up, over the target, down, open, away."""
         can = slice(scene.qpos_of("can"), scene.qpos_of("can") + 3)
         target = sight.start.fixtures[2, :3] - [0, 0, PRESS]

@@ -1,16 +1,16 @@
 """Push: slide a cube onto a round target."""
 
 from collections.abc import Iterator
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from jaxcam.rays import POSE_RANGES, PoseRanges
 from jaxcam.rays.rotations import Array
-from jaxcam.sim.engine import Start, State
 from jaxcam.sim.experts import CLOSE, Hand, pushing_grip
-from jaxcam.sim.maniskill.task import ManiSkillTask, SapienWorld, goal_pose, is_over_goal
-from jaxcam.sim.task import Aim, Sight
+from jaxcam.sim.maniskill.task import ManiSkillTask, goal_pose, is_over_goal
+from jaxcam.sim.types import Aim, Sight, Start, State
+from jaxcam.sim.world import World
 
 HALF_SIZE = 0.02
 """Of the cube (m), ManiSkill's."""
@@ -41,11 +41,11 @@ class Push(ManiSkillTask):
     fovy_deg: ClassVar[float] = float(np.rad2deg(1.0))
     markers: ClassVar[tuple[str, ...]] = ("goal_region",)
 
-    def objects(self) -> list[Any]:
+    def objects(self) -> list[str]:
         """The cube, by ManiSkill's name."""
         return ["cube"]
 
-    def place(self, scene: SapienWorld, rng: np.random.Generator, start: Start) -> None:
+    def place(self, scene: World, rng: np.random.Generator, start: Start) -> None:
         """Cube and target on a segment about the middle of the table, the cube facing along it."""
         anchor = np.add(MIDDLE, rng.uniform(-ANCHOR, ANCHOR, 2))
         travel, yaw = rng.uniform(*TRAVEL), rng.uniform(-np.pi, np.pi)
@@ -55,13 +55,13 @@ class Push(ManiSkillTask):
         start.qpos[cube + 3 : cube + 7] = [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
         start.fixtures[2] = goal_pose(anchor + travel * 2 / 3 * along)
 
-    def success(self, scene: SapienWorld, state: State, start: Start) -> Array:
+    def success(self, scene: World, state: State, start: Start) -> Array:
         """The cube's middle is over the target, and the cube on the table."""
         cube = scene.qpos_of("cube")
         low = state.qpos[..., cube + 2] < HALF_SIZE + LOW
         return is_over_goal(state.qpos[..., cube : cube + 2], start) & low
 
-    def expert(self, scene: SapienWorld, sight: Sight) -> Iterator[Aim]:
+    def expert(self, scene: World, sight: Sight) -> Iterator[Aim]:
         """Behind the cube, down, and on until it is over the target's middle; fingers closed."""
         cube = slice(scene.qpos_of("cube"), scene.qpos_of("cube") + 2)
         target = sight.start.fixtures[2, :2]
@@ -77,8 +77,8 @@ class Push(ManiSkillTask):
             return np.array([*(sight.qpos[cube] - BEHIND * along), height])
 
         def onwards() -> np.ndarray:
-            left = target - sight.qpos[cube]
-            return np.array([*(target - TOUCH * left / max(np.linalg.norm(left), 1e-6)), DOWN])
+            way = target - sight.qpos[cube]
+            return np.array([*(target - TOUCH * way / max(np.linalg.norm(way), 1e-6)), DOWN])
 
         yield from hand.reach(lambda: behind(HOVER), CLOSE, tolerance=0.02, turn=turned, stray=0.06)
         yield from hand.reach(lambda: behind(DOWN), CLOSE, tolerance=0.01, turn=turned)

@@ -1,16 +1,16 @@
 """Roll Ball: push a ball so that it rolls onto a round target out of reach."""
 
 from collections.abc import Iterator
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from jaxcam.rays import POSE_RANGES, PoseRanges
 from jaxcam.rays.rotations import Array
-from jaxcam.sim.engine import Start, State
 from jaxcam.sim.experts import CLOSE, Hand, pushing_grip
-from jaxcam.sim.maniskill.task import ManiSkillTask, SapienWorld, goal_pose, is_over_goal
-from jaxcam.sim.task import Aim, Sight
+from jaxcam.sim.maniskill.task import ManiSkillTask, goal_pose, is_over_goal
+from jaxcam.sim.types import Aim, Sight, Start, State
+from jaxcam.sim.world import World
 
 BALL = 0.035
 """Radius of the ball (m), ManiSkill's."""
@@ -43,33 +43,33 @@ class RollBall(ManiSkillTask):
     markers: ClassVar[tuple[str, ...]] = ("goal_region",)
     base: ClassVar[tuple[float, float, float]] = (-0.1, 1.0, -np.pi / 2)
 
-    def objects(self) -> list[Any]:
+    def objects(self) -> list[str]:
         """The ball, by ManiSkill's name."""
         return ["ball"]
 
-    def place(self, scene: SapienWorld, rng: np.random.Generator, start: Start) -> None:
+    def place(self, scene: World, rng: np.random.Generator, start: Start) -> None:
         """The ball before the robot, the target at the table's other half."""
         ball = scene.qpos_of("ball")
         start.qpos[ball : ball + 3] = rng.uniform(*ACROSS), rng.uniform(*FROM), BALL
         start.fixtures[2] = goal_pose(np.array([rng.uniform(*ACROSS), rng.uniform(*TO)]))
 
-    def success(self, scene: SapienWorld, state: State, start: Start) -> Array:
+    def success(self, scene: World, state: State, start: Start) -> Array:
         """The ball's middle is over the target, rolling or not."""
         ball = scene.qpos_of("ball")
         return is_over_goal(state.qpos[..., ball : ball + 2], start)
 
-    def expert(self, scene: SapienWorld, sight: Sight) -> Iterator[Aim]:
+    def expert(self, scene: World, sight: Sight) -> Iterator[Aim]:
         """Behind the ball, down, push towards the target, and watch; fingers closed."""
         at, base = scene.qpos_of("ball"), scene.world_from_base[:3, 3]
         target = sight.start.fixtures[2, :2]
         hand = Hand(sight)
         first = sight.qpos[at : at + 2].copy()
 
-        def left() -> np.ndarray:
+        def to_target() -> np.ndarray:
             return target - sight.qpos[at : at + 2]
 
         def along() -> np.ndarray:
-            return left() / np.linalg.norm(left())
+            return to_target() / np.linalg.norm(to_target())
 
         def turned() -> np.ndarray:
             return pushing_grip(base, sight.grip_position, along(), sight.grip_rotation)
@@ -86,6 +86,6 @@ class RollBall(ManiSkillTask):
         yield from hand.reach(lambda: behind(DOWN), CLOSE, tolerance=0.01, turn=turned)
         yield from hand.reach(ahead, CLOSE, tolerance=0.04, turn=turned)
         for _ in range(PATIENCE):
-            if np.linalg.norm(left()) < NEAR:
+            if np.linalg.norm(to_target()) < NEAR:
                 return
             yield from hand.hold(CLOSE, steps=1)

@@ -1,16 +1,16 @@
 """Assembly Square: put the square nut over the peg."""
 
 from collections.abc import Iterator
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from jaxcam.rays.rotations import Array, array_namespace, matrix_from_rotvec
-from jaxcam.sim.engine import Start, State
 from jaxcam.sim.experts import CLOSE, OPEN, Hand, easy_grip, funnel
-from jaxcam.sim.mujoco.scene import TABLE_TOP, CompositeObject, Scene, SquareNutObject
-from jaxcam.sim.mujoco.table import TableTask
-from jaxcam.sim.task import Aim, Sight
+from jaxcam.sim.mujoco.objects import Compound, Piece, SquareNut
+from jaxcam.sim.mujoco.table import TABLE_TOP, TableTask
+from jaxcam.sim.types import Aim, Sight, Start, State
+from jaxcam.sim.world import World
 
 NUT_HALF_HEIGHT, HANDLE = 0.010, 0.054
 """Of robosuite's nut (m), its origin being the middle of the hole: half its thickness, and how far
@@ -40,25 +40,20 @@ UP, OVER, DOWN = 0.07, 0.16, 0.026
 """Heights (m) of the nut above the table when lifted, over the peg, and when let go."""
 
 
-def _peg() -> Any:
+def _peg() -> Compound:
     """A cylinder on a square base; it collides as a capsule, which any engine does with boxes."""
-    length, middle = 2 * PEG_HALF_LENGTH, [0, 0, PEG_HALF_LENGTH + BASE_HALF_SIZE[2]]
+    length, middle = 2 * PEG_HALF_LENGTH, (0, 0, PEG_HALF_LENGTH + BASE_HALF_SIZE[2])
     filled = 1 - 2 / 3 * PEG_RADIUS / length  # capsule's volume over the cylinder's
-    return CompositeObject(
+    rod, stick = (PEG_RADIUS, PEG_HALF_LENGTH - PEG_RADIUS), (PEG_RADIUS, PEG_HALF_LENGTH)
+    return Compound(
         name="peg",
-        total_size=[*BASE_HALF_SIZE[:2], PEG_HALF_LENGTH + BASE_HALF_SIZE[2]],
-        geom_types=["box", "capsule", "cylinder"],
-        geom_names=["base", "rod", "stick"],
-        geom_sizes=[
-            BASE_HALF_SIZE,
-            [PEG_RADIUS, PEG_HALF_LENGTH - PEG_RADIUS],
-            [PEG_RADIUS, PEG_HALF_LENGTH],
-        ],
-        geom_locations=[[0, 0, 0], middle, middle],
-        locations_relative_to_center=True,
-        obj_types=["all", "collision", "visual"],  # type: ignore[arg-type]
-        density=[DENSITY, DENSITY / filled, None],  # type: ignore[arg-type]
-        rgba=[0.22, 0.36, 0.62, 1],
+        half_size=(*BASE_HALF_SIZE[:2], PEG_HALF_LENGTH + BASE_HALF_SIZE[2]),
+        pieces=(
+            Piece("base", "box", BASE_HALF_SIZE, (0, 0, 0), DENSITY),
+            Piece("rod", "capsule", rod, middle, DENSITY / filled, "collision"),
+            Piece("stick", "cylinder", stick, middle, None, "visual"),
+        ),
+        rgba=(0.22, 0.36, 0.62, 1),
     )
 
 
@@ -71,11 +66,11 @@ class Square(TableTask):
     views: ClassVar[int] = 2
     stair: ClassVar[tuple[int, int]] = (4, 2)
 
-    def objects(self) -> list[Any]:
+    def objects(self) -> list[SquareNut | Compound]:
         """A square nut with a handle, and a peg."""
-        return [SquareNutObject(name="nut"), _peg()]
+        return [SquareNut("nut"), _peg()]
 
-    def place(self, scene: Scene, rng: np.random.Generator, start: Start) -> None:
+    def place(self, scene: World, rng: np.random.Generator, start: Start) -> None:
         """Both within 0.18 m of the table's centre, 0.17 m apart; the nut 1 cm above the table."""
         place = rng.uniform(-PLACEMENT, PLACEMENT, (2, 2))
         while np.linalg.norm(place[0] - place[1]) < APART:
@@ -86,7 +81,7 @@ class Square(TableTask):
             start.qpos[at : at + 3] = x, y, TABLE_TOP + height
             start.qpos[at + 3 : at + 7] = [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
 
-    def success(self, scene: Scene, state: State, start: Start) -> Array:
+    def success(self, scene: World, state: State, start: Start) -> Array:
         """The nut is around the peg and low, and the gripper away from its middle and its handle.
 
         robosuite and the authors measure the gripper's distance from the nut's middle alone, which
@@ -103,7 +98,7 @@ class Square(TableTask):
             around = around & (distance > AWAY)
         return around & (middle[..., 2] < TABLE_TOP + LOW)
 
-    def expert(self, scene: Scene, sight: Sight) -> Iterator[Aim]:
+    def expert(self, scene: World, sight: Sight) -> Iterator[Aim]:
         """Turn over the handle, down, close, up, over the peg, down around it, open, away."""
         at, peg = scene.qpos_of("nut"), scene.qpos_of("peg")
         nut, base = slice(at, at + 3), scene.world_from_base[:3, 3]

@@ -8,21 +8,21 @@ import sys
 
 import numpy as np
 import pytest
+from running import exit_code
 
 from jaxcam.data.collection import run_expert
 from jaxcam.errors import ConfigError, SimError
 from jaxcam.rays import Camera, look_at
 from jaxcam.rays.rotations import matrix_from_quaternion, matrix_from_rotvec, rotvec_from_matrix
-from jaxcam.sim import make_engine, make_task
-from jaxcam.sim.engine import Command
+from jaxcam.sim import make_engine, make_painter, make_task
 from jaxcam.sim.maniskill import kinematics, machine
 from jaxcam.sim.maniskill import pool as pool_module
 from jaxcam.sim.maniskill.kinematics import forward, inverse
 from jaxcam.sim.maniskill.pool import Child, pool_of
-from jaxcam.sim.maniskill.task import HOME
-from jaxcam.sim.rollout import rollout
+from jaxcam.sim.maniskill.scene import HOME
+from jaxcam.sim.rollout import Agent, Episodes, rollout
 from jaxcam.sim.task import starts
-from jaxcam.sim.world import View
+from jaxcam.sim.types import Command, View
 
 WORLDS = 3
 HALF = 0.02
@@ -217,7 +217,7 @@ def views(start, count=4):
 
 @pytest.fixture(scope="module")
 def layers(world, start):
-    return world.painter(HEIGHT, WIDTH).layers(views(start))
+    return make_painter(world, HEIGHT, WIDTH).layers(views(start))
 
 
 def test_unprojected_depth_lies_on_the_cube(layers, start, world):
@@ -254,7 +254,7 @@ def test_the_fingers_are_where_they_are_predicted(layers, start, engine):
 
 
 def test_pictures_repeat_and_show_states_and_cameras(world, start, layers):
-    painter, view = world.painter(HEIGHT, WIDTH), views(start)
+    painter, view = make_painter(world, HEIGHT, WIDTH), views(start)
     pictures = painter.rgb(view)
     assert pictures.dtype == np.uint8
     assert pictures.shape == (4, HEIGHT, WIDTH, 3)
@@ -271,7 +271,7 @@ def test_a_camera_that_sapien_cannot_have_is_an_error(world, start):
     view = views(start, 1)
     mirrored = view.world_from_camera * np.array([-1.0, 1, 1, 1])
     with pytest.raises(SimError, match="not the one that was asked"):
-        world.painter(HEIGHT, WIDTH).rgb(view._replace(world_from_camera=mirrored))
+        make_painter(world, HEIGHT, WIDTH).rgb(view._replace(world_from_camera=mirrored))
 
 
 def test_the_expert_and_a_policy_run_as_in_mujoco(push, world, engine, start):
@@ -283,11 +283,12 @@ def test_the_expert_and_a_policy_run_as_in_mujoco(push, world, engine, start):
         asked.append(obs)
         return np.zeros((WORLDS, 50, 7))
 
-    done = rollout(
-        act, push, world, engine, world.painter(32), start,
-        np.repeat(K[None, None], WORLDS, 0), np.repeat(views(start).world_from_camera[None, :1],
-        WORLDS, 0), "eef_delta",
-    )  # fmt: skip
+    episodes = Episodes(
+        start,
+        np.repeat(K[None, None], WORLDS, 0),
+        np.repeat(views(start).world_from_camera[None, :1], WORLDS, 0),
+    )
+    done = rollout(Agent(act, "eef_delta"), push, engine, make_painter(world, 32), episodes)
     assert done.ok.all()
     assert not done.success.any()
     assert len(asked) == push.horizon // 50
@@ -354,11 +355,8 @@ def test_a_machine_without_vulkan_is_told_how_to_get_it(maniskill, push, monkeyp
 
 
 def test_check_tells_what_there_is_and_how_to_get_the_rest(monkeypatch, capsys):
-    from jaxcam.checks.examine import main
-
-    monkeypatch.setattr(sys, "argv", ["check", "--env"])
     monkeypatch.setattr(machine, "missing_packages", lambda: list(machine.PACKAGES.values()))
-    main()
+    exit_code("check", "--env")
     told = capsys.readouterr().out
     assert "extra maniskill: pip install 'jaxcam[maniskill]'" in told
     assert "lift, pick_place_can, square" in told

@@ -15,8 +15,7 @@ import pytest
 from jaxcam.errors import SimError
 from jaxcam.rays import look_at
 from jaxcam.rays.rotations import rotvec_from_matrix
-from jaxcam.sim import engine_name, make_engine, make_task
-from jaxcam.sim.engine import Command
+from jaxcam.sim import engine_name, make_engine, make_painter, make_task, simulator_of
 from jaxcam.sim.maniskill import machine, studio, worlds
 from jaxcam.sim.maniskill.machine import Device
 from jaxcam.sim.maniskill.memory import JOINTS, Sizes, open_memory
@@ -24,7 +23,7 @@ from jaxcam.sim.maniskill.pool import Pool
 from jaxcam.sim.maniskill.worker import Worker
 from jaxcam.sim.maniskill.worlds import Assignment
 from jaxcam.sim.task import starts
-from jaxcam.sim.world import View
+from jaxcam.sim.types import Command, View
 
 SIZES = Sizes(JOINTS + 7, JOINTS + 6, 3)
 CARD = Assignment("JaxcamPush-v1", "fixed", True, "gpu", SIZES)
@@ -250,9 +249,9 @@ def test_the_card_is_used_where_there_is_one(world, monkeypatch, there):
     monkeypatch.setattr(machine, "require", lambda: None)
     assert engine_name("auto", world) == ("sapien-gpu" if there else "sapien")
     assert engine_name("sapien", world) == "sapien"
-    assert world.engines[0] == "sapien"  # makes demonstrations, wherever
-    painter = world.painter(8)
-    assert len(painter._pool.children(100)) == (1 if there else min(os.cpu_count() or 1, 8))
+    assert next(iter(simulator_of(world).engines)) == "sapien"  # makes demonstrations, wherever
+    painter = make_painter(world, 8)
+    assert len(painter.pool.children(100)) == (1 if there else min(os.cpu_count() or 1, 8))
     if not there:
         with pytest.raises(SimError, match=r"sapien-gpu .* there is no card"):
             make_engine("sapien-gpu", world, "osc_pose")
@@ -261,7 +260,7 @@ def test_the_card_is_used_where_there_is_one(world, monkeypatch, there):
 def test_a_card_without_what_it_takes_is_told(monkeypatch):
     monkeypatch.setattr(machine, "has_nvidia", lambda: True)
     monkeypatch.setattr(machine, "device", lambda: Device("gpu", "a card"))
-    monkeypatch.setattr(machine, "_SIMULATING", "raise OSError('no PhysX for this card')")
+    monkeypatch.setattr(machine, "SIMULATING", "raise OSError('no PhysX for this card')")
     machine.cuda.cache_clear()
     try:
         assert machine.cuda() == Device("", "OSError: no PhysX for this card")
@@ -344,7 +343,7 @@ def test_a_card_does_as_the_cpu_does(card, world):
     poses = np.asarray(look_at(np.array([[0.5, 0.1, 0.5]]), np.zeros(3))).repeat(20, 0)
     lens = np.tile([[90.0, 0, 32], [0, 90, 32], [0, 0, 1]], (20, 1, 1))
     view = View(gpu.qpos, start.geom_size, start.fixtures, lens, poses)
-    layers = world.painter(64).layers(view)
+    layers = make_painter(world, 64).layers(view)
     assert layers.rgb.std((1, 2, 3)).min() > 10
     cube = next(i for i, name in enumerate(layers.names) if name.endswith("cube"))
     middle = np.einsum("nij,nj->ni", poses[:, :3, :3].mT, gpu.qpos[:, 9:12] - poses[:, :3, 3])

@@ -14,9 +14,9 @@ from jaxcam.data.replay import replay_all
 from jaxcam.rays import POSE_RANGES, invert, sample_poses
 from jaxcam.rays.rotations import matrix_from_quaternion, matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.sim import make_engine, make_task
-from jaxcam.sim.engine import Start, State
 from jaxcam.sim.experts import CLOSE_BY, FAR, STEP, STRETCH, TURN, pushing_grip
 from jaxcam.sim.task import starts
+from jaxcam.sim.types import Start, State
 
 NAMES = ("push", "lift_upright", "roll_ball")
 SEEDS = range(2000, 2010)

@@ -8,21 +8,23 @@ import pytest
 from jax.tree_util import Partial
 from mujoco.mjx import forward as warp_forward
 
+from jaxcam.data.batches import demo_actions
 from jaxcam.data.demos import starts_of
 from jaxcam.errors import ConfigError, SimError
 from jaxcam.rays import sample_poses
 from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.rays.rotations import array_namespace, matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.sim import engine_name, make_engine
-from jaxcam.sim.actions import decode, demo_actions, measured
-from jaxcam.sim.engine import Command, OpenLoop
-from jaxcam.sim.mujoco import mjx
+from jaxcam.sim.actions import decode, measured
+from jaxcam.sim.engine import OpenLoop
 from jaxcam.sim.mujoco.mjx import MjxEngine
 from jaxcam.sim.mujoco.mjx_model import check_pairs
+from jaxcam.sim.mujoco.mjx_room import Room
 from jaxcam.sim.mujoco.native import NativeEngine
-from jaxcam.sim.rollout import rollout
+from jaxcam.sim.rollout import Agent, Episodes, rollout
 from jaxcam.sim.task import starts
 from jaxcam.sim.tasks.lift import Lift
+from jaxcam.sim.types import Command
 
 WORLDS = 3
 OPEN_LOOP = OpenLoop()
@@ -56,7 +58,7 @@ def wave(scene, state, controller, steps):
     return Command(target, np.where(np.sin(angle[..., 0]) > 0, 1.0, -1.0))
 
 
-def never(scene, state, start):
+def never(state, start):
     return state.qpos[:, 0] > 100
 
 
@@ -91,7 +93,7 @@ def test_fifty_control_steps_are_as_native(lift, scene, start, warp, controller)
 
 
 def test_sizes_become_the_model_that_mujoco_derives(lift, scene, start, warp):
-    found = warp["osc_pose"]._bodies(start)
+    found = warp["osc_pose"].physics.bodies(start)
     geom, body = scene.physics.geom("cube_g0").id, scene.physics.body("cube_main").id
     for i, half in enumerate(start.geom_size[:, 0]):
         spec = mujoco.MjSpec()
@@ -132,8 +134,9 @@ def test_an_edge_meets_a_face_as_in_the_c_library(scene, warp):
         data.qpos[:] = row
         mujoco.mj_forward(model, data)
         want += [(world, *sorted(c.geom), c.dist) for c in data.contact if c.dist < -1e-5]
-    data = engine._scratch(count).full
-    forward = jax.vmap(lambda qpos: warp_forward(engine._model, data.replace(qpos=qpos)))
+    physics, room = engine.physics, engine.room
+    data = physics.scratch(count, room.contacts, room.rows).full
+    forward = jax.vmap(lambda qpos: warp_forward(physics.model, data.replace(qpos=qpos)))
     found = jax.jit(forward)(jnp.asarray(qpos, jnp.float32))._impl
     rows = slice(int(np.max(found.nacon)))
     worlds, dist = (np.ravel(x)[rows] for x in (found.contact__worldid, found.contact__dist))
@@ -172,7 +175,7 @@ def test_success_and_horizon_freeze_inside_the_program(lift, scene, start, warp)
     way, _ = follow(native, start, commands)
     far = np.sort(abs(way[2, :, 0] - start.qpos[:, 0]))[1] - 1e-5  # two worlds are there by step 2
 
-    def moved(scene, state, start):
+    def moved(state, start):
         return abs(state.qpos[:, 0] - start.qpos[:, 0]) > far
 
     engine, ticks = warp["osc_pose"], []
@@ -207,8 +210,10 @@ def test_a_policy_in_the_loop_is_one_program(lift, scene, renderer, start, warp)
     alive, done, ticks = np.array([True, True, False]), [], []
     for engine in (NativeEngine(scene, varied=lift.varied), warp["osc_pose"]):
         act = Partial(by_sight, np.float32(0.05))
-        what = (act, ShortLift(), scene, engine, renderer, start, K, poses, "eef_delta")
-        done.append(rollout(*what, 2, alive, lambda: ticks.append(0)))
+        agent, episodes = Agent(act, "eef_delta", 2), Episodes(start, K, poses, alive)
+        done.append(
+            rollout(agent, ShortLift(), engine, renderer, episodes, lambda: ticks.append(0))
+        )
     native, mjx = done
     assert native.qpos.shape == mjx.qpos.shape == (4, WORLDS, scene.physics.nq)
     assert len(ticks) == 6
@@ -220,7 +225,7 @@ def test_a_policy_in_the_loop_is_one_program(lift, scene, renderer, start, warp)
 
 
 def test_room_for_contacts_grows_until_none_is_lost(lift, scene, start, warp, caplog):
-    narrow = MjxEngine(scene, "joint_position", lift.varied, contacts=3)
+    narrow = MjxEngine(scene, "joint_position", lift.varied, room=Room(contacts=3))
     states = []
     for engine in (narrow, warp["joint_position"]):
         state = engine.reset(start)
@@ -230,10 +235,12 @@ def test_room_for_contacts_grows_until_none_is_lost(lift, scene, start, warp, ca
     np.testing.assert_allclose(states[0].qpos, states[1].qpos, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["contacts", "rows"])
-def test_lost_contacts_are_an_error_when_there_was_much_room(lift, scene, start, name, monkeypatch):
-    monkeypatch.setitem(mjx._MOST, name, 1)
-    engine = MjxEngine(scene, "joint_position", lift.varied, **{name: 1})
+@pytest.mark.parametrize(
+    ("name", "room"),
+    [("contacts", Room(1, most_contacts=1)), ("rows", Room(44, rows=1, most_rows=1))],
+)
+def test_lost_contacts_are_an_error_when_there_was_much_room(lift, scene, start, name, room):
+    engine = MjxEngine(scene, "joint_position", lift.varied, room=room)
     state = engine.reset(start)
     with pytest.raises(SimError, match=f"room for 1 {name} a world"):
         engine.step(state, Command(np.asarray(state.qpos[:, scene.arm]), -np.ones(WORLDS)))
@@ -288,7 +295,9 @@ def test_demonstrations_succeed_as_on_the_native_engine(demos, lift, scene):
     outcomes = []
     for engine in (NativeEngine(scene, varied=lift.varied), MjxEngine(scene, varied=lift.varied)):
         start, commands = replayed(engine, every, lift, scene)
-        outcomes.append(np.asarray(follow(engine, start, commands, lift.success)[1].success))
+        outcomes.append(
+            np.asarray(follow(engine, start, commands, lift.success_in(scene))[1].success)
+        )
     assert outcomes[0].all()
     np.testing.assert_array_equal(*outcomes)
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from jaxcam.sim.engine import Command, Start
 from jaxcam.sim.mujoco import native
 from jaxcam.sim.mujoco.native import NativeEngine
-from jaxcam.sim.mujoco.scene import TABLE_TOP
+from jaxcam.sim.mujoco.table import TABLE_TOP
 from jaxcam.sim.task import starts
+from jaxcam.sim.types import Command, Start
 
 STEPS = 12
 
@@ -60,11 +60,11 @@ def batch(lift, scene, start):
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_any_number_of_threads_gives_the_same_bits(lift, scene, start, batch, threads, monkeypatch):
-    monkeypatch.setattr(native, "_LEAST", 1)  # else so few worlds stay in one thread
+    monkeypatch.setattr(native, "LEAST", 1)  # else so few worlds stay in one thread
     engine = NativeEngine(scene, varied=lift.varied, threads=threads)
     for a, b in zip(run(engine, lift, scene, start), batch, strict=True):
         same(a, b)
-    assert len(engine._shares) == threads
+    assert len(engine.shares) == threads
 
 
 def test_singles_equal_the_batch_bit_for_bit(lift, scene, start, batch):
@@ -208,7 +208,7 @@ def test_cube_size_decides_mass_and_where_it_rests(lift, scene):
     rest = state.qpos[:, scene.qpos_of("cube") + 2] - TABLE_TOP
     np.testing.assert_allclose(rest, half[:, 2], atol=3e-4)
     for i, h in enumerate(half):
-        cube = engine._shares[0]._batch.get_model(i).body("cube_main")
+        cube = engine.shares[0].batch.get_model(i).body("cube_main")
         full = 2 * h
         mass = scene.physics.body("cube_main").mass[0] * full.prod() / 0.042**3
         np.testing.assert_allclose(cube.mass[0], mass, rtol=1e-6)

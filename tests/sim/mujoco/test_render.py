@@ -6,9 +6,10 @@ import pytest
 
 from jaxcam.rays import Camera, sample_poses, spherical
 from jaxcam.rays.rotations import matrix_from_quaternion
-from jaxcam.sim.mujoco.render import Renderer, View
-from jaxcam.sim.mujoco.scene import TABLE_TOP
+from jaxcam.sim.mujoco.render import Renderer
+from jaxcam.sim.mujoco.table import TABLE_TOP
 from jaxcam.sim.task import starts
+from jaxcam.sim.types import View
 
 HEIGHT, WIDTH, COUNT = 30, 36, 6
 
@@ -167,4 +168,4 @@ def test_supersampling_smooths_and_keeps_the_picture(lift, scene):
     )
     assert smooth.shape == plain.shape
     assert abs(plain.astype(int) - smooth).mean() < 6
-    assert Renderer.identity(samples=2) != Renderer.identity()
+    assert Renderer.look(samples=2) != Renderer.look()

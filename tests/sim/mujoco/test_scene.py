@@ -6,28 +6,19 @@ import pytest
 
 from jaxcam.errors import ConfigError
 from jaxcam.sim import make_task
-from jaxcam.sim.mujoco import scene as scene_module
+from jaxcam.sim.mujoco.mjcf import TABLE_SIZE, assemble
 from jaxcam.sim.mujoco.native import NativeEngine
-from jaxcam.sim.mujoco.scene import FIXTURES, SHEET_HALF_SIZE, TABLE_SIZE, TABLE_TOP, build_scene
-from jaxcam.sim.mujoco.table import ROOM_SHIFT, TABLE_SHIFT
-from jaxcam.sim.task import START_JOINT_NOISE, starts
+from jaxcam.sim.mujoco.scene import FIXTURES, SHEET_HALF_SIZE, build_scene
+from jaxcam.sim.mujoco.table import TABLE_TOP
+from jaxcam.sim.task import ROOM_SHIFT, START_JOINT_NOISE, TABLE_SHIFT, starts
 from jaxcam.sim.tasks.lift import HALF_SIZE, LIFTED, PLACEMENT
 
 
 @pytest.fixture(scope="module")
 def full_and_scene(lift):
     """robosuite's whole model, and the scene that was made of it."""
-    seen = {}
-    original = scene_module._physics_model
-
-    def spy(xml, full, *objects):
-        seen["full"] = full
-        return original(xml, full, *objects)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(scene_module, "_physics_model", spy)
-        scene = build_scene(lift.objects(), "fixed")
-    return seen["full"], scene
+    full = mujoco.MjModel.from_xml_string(assemble(lift.objects(), TABLE_TOP).xml)
+    return full, build_scene(lift.objects(), "fixed")
 
 
 def names(model, kind, count):

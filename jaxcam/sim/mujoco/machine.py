@@ -1,0 +1,26 @@
+"""What MuJoCo can use of this machine, and how Warp is started."""
+
+import functools
+import os
+
+import jax
+import warp as wp
+
+
+def has_accelerator() -> bool:
+    """Whether JAX runs on a GPU or another accelerator; on a CPU Warp has one thread only."""
+    return jax.default_backend() != "cpu"
+
+
+@functools.cache
+def start_warp() -> None:
+    """Starts Warp without its greeting and, on a machine without CUDA, its complaint."""
+    wp.config.log_level = wp.LOG_ERROR
+    stderr, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        wp.init()
+    finally:
+        os.dup2(stderr, 2)
+        os.close(stderr)
+        os.close(nowhere)

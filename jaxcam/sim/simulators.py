@@ -1,0 +1,77 @@
+"""The simulators there are, by the names of what builds, steps and draws their worlds.
+
+Nothing of a simulator is imported before it is used, and only here: tasks and settings can be read
+where no simulator is installed.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import import_module
+from typing import Any, Literal
+
+SimulatorName = Literal["mujoco", "sapien"]
+EngineName = Literal["native", "mjx-jax", "mjx-warp", "sapien", "sapien-gpu"]
+
+
+@dataclass(frozen=True)
+class Part:
+    """Something that is imported when it is first used."""
+
+    module: str
+    name: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """Keyword arguments for every call."""
+
+    def load(self) -> Any:
+        """The thing itself."""
+        return getattr(import_module(self.module), self.name)
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """Calls it."""
+        return self.load()(*args, **{**self.options, **kwargs})
+
+
+@dataclass(frozen=True)
+class Simulator:
+    """What makes worlds of one kind, and what steps and draws them."""
+
+    world: Part
+    """`(task, scene name) -> World`; the same world for the same arguments."""
+    engines: Mapping[EngineName, Part]
+    """`(world, controller, varied) -> Engine`. The first makes demonstrations, and is the fastest
+    without an accelerator."""
+    accelerated: EngineName
+    """The fastest engine with an accelerator."""
+    has_accelerator: Part
+    """`() -> bool`: whether this machine has one that this simulator can use."""
+    painter: Part
+    """`(world, height, width, varied=...) -> Painter`."""
+    packages: tuple[str, ...]
+    """Distributions whose versions shape what happens in its worlds."""
+
+
+SIMULATORS: Mapping[SimulatorName, Simulator] = {
+    "mujoco": Simulator(
+        world=Part("jaxcam.sim.mujoco.scene", "scene_of"),
+        engines={
+            "native": Part("jaxcam.sim.mujoco.native", "NativeEngine"),
+            "mjx-jax": Part("jaxcam.sim.mujoco.mjx", "MjxEngine", {"impl": "jax"}),
+            "mjx-warp": Part("jaxcam.sim.mujoco.mjx", "MjxEngine", {"impl": "warp"}),
+        },
+        accelerated="mjx-warp",
+        has_accelerator=Part("jaxcam.sim.mujoco.machine", "has_accelerator"),
+        painter=Part("jaxcam.sim.mujoco.render", "Renderer"),
+        packages=("mujoco", "robosuite"),
+    ),
+    "sapien": Simulator(
+        world=Part("jaxcam.sim.maniskill.scene", "scene_of"),
+        engines={
+            "sapien": Part("jaxcam.sim.maniskill.engine", "SapienEngine"),
+            "sapien-gpu": Part("jaxcam.sim.maniskill.engine", "SapienEngine", {"on_gpu": True}),
+        },
+        accelerated="sapien-gpu",
+        has_accelerator=Part("jaxcam.sim.maniskill.machine", "has_accelerator"),
+        painter=Part("jaxcam.sim.maniskill.render", "SapienPainter"),
+        packages=("mani-skill", "sapien", "torch"),
+    ),
+}
