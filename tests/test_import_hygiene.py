@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-OPTIONAL = {"torch", "sapien", "mani_skill", "viser", "submitit", "wandb", "transformers"}
+OPTIONAL = {"torch", "sapien", "mani_skill", "submitit", "wandb", "transformers"}
 
 ARRAYS = (
     "import jaxcam.sim.actions, jaxcam.data.batches, jaxcam.models, jaxcam.training.state, "

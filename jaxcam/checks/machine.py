@@ -23,7 +23,6 @@ EXTRAS = {
     "smolvla": ("safetensors", "tokenizers"),
     "sweep": ("submitit",),
     "tensorboard": ("tensorboardX",),
-    "viz": ("viser",),
     "wandb": ("wandb",),
 }
 """Modules that the small extras bring."""
@@ -70,7 +69,7 @@ def _accelerator() -> Finding:
     kinds = sorted({device.device_kind for device in jax.devices()})
     told = f"{backend}: {len(jax.devices())} x {', '.join(kinds)}"
     if backend == "cpu" and machine.has_nvidia():
-        fix = "pip install 'jaxcam[cuda]'"
+        fix = "pip install 'jaxcam[cuda13]', or cuda12 for a driver before 580"
         return Finding("accelerator", "note", f"{told}, though there is a GPU", fix=fix)
     return Finding("accelerator", "good", told if backend != "cpu" else f"{told} (none)")
 
