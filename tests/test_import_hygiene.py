@@ -6,7 +6,7 @@ import sys
 import pytest
 from places import REPO
 
-OPTIONAL = {"torch", "sapien", "mani_skill", "viser", "submitit", "wandb", "transformers"}
+OPTIONAL = {"torch", "sapien", "mani_skill", "submitit", "wandb", "transformers"}
 SIMULATORS = {"mujoco", "robosuite", "numba", "warp", "sapien", "mani_skill", "torch"}
 SHOW = "\nimport sys; print(*{name.split('.')[0] for name in sys.modules}, sep='\\n')"
 

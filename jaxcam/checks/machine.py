@@ -28,7 +28,6 @@ EXTRAS = {
     "smolvla": ("safetensors", "tokenizers"),
     "sweep": ("submitit",),
     "tensorboard": ("tensorboardX",),
-    "viz": ("viser",),
     "wandb": ("wandb",),
 }
 """Modules that the small extras bring."""
@@ -61,7 +60,7 @@ def _accelerator() -> Finding:
     kinds = sorted({device.device_kind for device in jax.devices()})
     got = f"{backend}: {len(jax.devices())} x {', '.join(kinds)}"
     if backend == "cpu" and machine.has_nvidia():
-        fix = "pip install 'jaxcam[cuda]'"
+        fix = "pip install 'jaxcam[cuda13]', or cuda12 for a driver before 580"
         return note("accelerator", got=f"{got}, though there is a GPU", fix=fix)
     return good("accelerator", got=got if backend != "cpu" else f"{got} (none)")
 

@@ -26,7 +26,7 @@ def cached(demos, pictures, tmp_path):
 @pytest.fixture
 def pictures_of(lift, scene, renderer, monkeypatch):
     """Findings on a dataset's pictures; the session's renderer draws."""
-    monkeypatch.setattr(type(scene), "painter", lambda *args, **kwargs: renderer)
+    monkeypatch.setattr("jaxcam.checks.pictures.make_painter", lambda *args, **kwargs: renderer)
     return lambda demos: list(check_caches(demos, lift, scene, 3))
 
 

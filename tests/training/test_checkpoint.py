@@ -397,7 +397,7 @@ def test_kill_while_saving(tmp_path):
         import sys, dataclasses
         import jax.numpy as jnp
         sys.path.insert(0, sys.argv[1])
-        from test_checkpoint import Checkpoints, SIDE, fresh
+        from training.test_checkpoint import Checkpoints, SIDE, fresh
         big = dataclasses.replace(fresh(), ema={"big": jnp.ones((1000, 1000))})
         with Checkpoints(sys.argv[2], keep=3) as checkpoints:
             for step in range(1, 10000):

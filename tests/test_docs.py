@@ -1,0 +1,35 @@
+"""What README and docs name exists: files, modules, links, and each package with its sentence."""
+
+import ast
+import re
+
+import pytest
+from places import REPO
+
+PAGES = [REPO / "README.md", *sorted((REPO / "docs").glob("*.md"))]
+PATH = re.compile(r"(?:jaxcam|tests|benchmarks|grids|constraints|\.ci)/[\w./-]*\w")
+MODULE = re.compile(r"(?:from |import |python -m )(jaxcam(?:\.[a-z_]\w*)*)")
+LINK = re.compile(r"\]\(([^)#:]+)(?:#[^)]*)?\)")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_what_a_page_names_exists(page):
+    text = page.read_text(encoding="utf-8")
+    modules = {REPO / name.replace(".", "/") for name in MODULE.findall(text)}
+    missing = {
+        str(path) for path in modules if not (path.is_dir() or path.with_suffix(".py").exists())
+    }
+    missing |= {name for name in PATH.findall(text) if not (REPO / name).exists()}
+    missing |= {name for name in LINK.findall(text) if not (page.parent / name).exists()}
+    assert missing == set()
+
+
+def test_the_architecture_names_each_package_with_its_sentence():
+    page = (REPO / "docs/architecture.md").read_text(encoding="utf-8")
+    listed = dict(re.findall(r"^\| `([\w/]+)` \| (.+?) \|", page, re.MULTILINE))
+    packages = {}
+    for path in sorted((REPO / "jaxcam").rglob("*/__init__.py")):
+        sentence = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+        name = path.parent.relative_to(REPO / "jaxcam").as_posix()
+        packages[name] = sentence.partition("\n")[0]
+    assert listed == packages
