@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, fields
-from typing import Any, Literal, Self, get_args
+from typing import Any, Literal, Self, cast, get_args
 
 from jaxcam.errors import DatasetError
 
@@ -87,10 +87,11 @@ class Row:
         """
         if not isinstance(content, Mapping):
             raise DatasetError(f"{where}: expected the fields of a rollout, got {content!r}.")
-        values = {}
+        given = cast(Mapping[str, Any], content)
+        values: dict[str, Any] = {}
         for name, (expected, fits, required) in _FIELDS.items():
-            if name in content:
-                value = content[name]
+            if name in given:
+                value = given[name]
                 if not fits(value):
                     raise DatasetError(f"{where}: {name} is {value!r}, expected {expected}.")
                 values[name] = value

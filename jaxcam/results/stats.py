@@ -267,7 +267,8 @@ def _sign_flip_p(deltas: np.ndarray) -> float:
 
 
 def _total(deltas: np.ndarray, axis: int) -> np.ndarray:
-    return np.round(deltas.sum(axis), 9)  # ties must count as ties in floating point
+    totals: np.ndarray = np.round(deltas.sum(axis), 9)  # ties must count as ties in floating point
+    return totals
 
 
 def _batch(count: int) -> int:
