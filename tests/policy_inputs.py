@@ -7,11 +7,11 @@ from functools import cache
 import jax
 import numpy as np
 
-from jaxcam.config.presets import NAMES
+from jaxcam.config.names import Conditioning, names_of
 from jaxcam.models import ACT_PRESETS, ActConfig, Policy, PolicySpec, make_policy
 from jaxcam.models.conditioning import NOMINAL_POSE
 
-CONDITIONINGS = NAMES["conditioning"]
+CONDITIONINGS = names_of(Conditioning)
 CHUNK, ACTION, PROPRIO = 4, 3, 5
 
 

@@ -9,10 +9,11 @@ functions are deterministic.
 from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import scipy.stats
+from numpy.typing import NDArray
 
 from jaxcam.results.rows import Row
 
@@ -266,9 +267,9 @@ def _sign_flip_p(deltas: np.ndarray) -> float:
     return float(drawn.pvalue)
 
 
-def _total(deltas: np.ndarray, axis: int) -> np.ndarray:
-    totals: np.ndarray = np.round(deltas.sum(axis), 9)  # ties must count as ties in floating point
-    return totals
+def _total(deltas: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+    sums = cast(NDArray[np.float64], deltas.sum(axis))
+    return np.round(sums, 9)  # ties must count as ties in floating point
 
 
 def _batch(count: int) -> int:

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from jaxcam.config.presets import NAMES
+from jaxcam.config.names import EngineName, TaskName, names_of
 from jaxcam.errors import ConfigError
 from jaxcam.sim import engine_name, make_task, task_names
 from jaxcam.sim.simulators import SIMULATORS
@@ -30,9 +30,9 @@ def test_what_a_task_says_of_itself_loads_no_simulator():
 
 
 def test_settings_know_every_task_and_engine():
-    assert sorted(NAMES["task"]) == list(task_names())
+    assert sorted(names_of(TaskName)) == list(task_names())
     engines = [name for simulator in SIMULATORS.values() for name in simulator.engines]
-    assert sorted(NAMES["engine"]) == sorted(["auto", *engines])
+    assert sorted(names_of(EngineName)) == sorted(["auto", *engines])
 
 
 @pytest.mark.parametrize("name", SIMULATORS)
