@@ -12,6 +12,7 @@ from pathlib import Path
 import matplotlib.image
 import numpy as np
 
+from jaxcam.config.names import SceneName, names_of
 from jaxcam.data.collection import run_expert
 from jaxcam.data.splits import SPLITS
 from jaxcam.rays import sample_poses
@@ -21,7 +22,6 @@ from jaxcam.sim.mujoco.native import NativeEngine
 from jaxcam.sim.mujoco.render import Renderer
 from jaxcam.sim.task import Task, starts
 from jaxcam.sim.types import View
-from jaxcam.sim.world import SCENES
 
 COLUMNS, TILE, GAP = 6, 184, 6
 TEST_CAMERAS, FIRST_EPISODE = SPLITS["test"].cameras, 7
@@ -77,7 +77,7 @@ def main() -> None:
     rows = []
     for name in TASKS:
         task = make_task(name)
-        rows += [episodes(task, scene) for scene in SCENES]
+        rows += [episodes(task, scene) for scene in names_of(SceneName)]
         rows.append(demonstration(task, args.camera))
     matplotlib.image.imsave(args.out, sheet(rows))
     print(f"{args.out}: {args.out.stat().st_size / 1e3:.0f} kB")

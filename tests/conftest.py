@@ -20,10 +20,10 @@ def lift():
 @pytest.fixture(scope="session")
 def scenes(lift):
     """Both scenes of Lift by name."""
+    from jaxcam.config.names import SceneName, names_of
     from jaxcam.sim.mujoco.scene import build_scene
-    from jaxcam.sim.world import SCENES
 
-    return {name: build_scene(lift.objects(), name) for name in SCENES}
+    return {name: build_scene(lift.objects(), name) for name in names_of(SceneName)}
 
 
 @pytest.fixture(scope="session")

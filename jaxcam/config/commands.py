@@ -10,7 +10,7 @@ from jaxcam.config.flags import default
 from jaxcam.config.names import (
     ActionSpace,
     Cluster,
-    EngineName,
+    EngineChoice,
     ProtocolName,
     SceneName,
     Split,
@@ -39,7 +39,7 @@ class EvaluateConfig:
     """Which pairs: those kept for results, or those for choosing settings."""
     width: int = 50
     """Rollouts simulated at once; rows of different widths are not mixed."""
-    engine: EngineName = "auto"
+    engine: EngineChoice = "auto"
     """Physics; auto is mjx-warp on an accelerator and native without, and for the tasks of
     ManiSkill sapien-gpu on an NVIDIA card and sapien without. Rows of different engines are not
     mixed."""

@@ -10,7 +10,7 @@ from jaxcam.config.flags import PRESET, FromPreset, default
 from jaxcam.config.names import (
     ActionSpace,
     CommandSource,
-    EngineName,
+    EngineChoice,
     SceneName,
     TaskName,
 )
@@ -60,7 +60,7 @@ class ReplayConfig:
     """HDF5 file of demonstrations; one of ManiSkill's is imported first (`jaxcam.maniskill`)."""
     action_space: Annotated[tuple[ActionSpace, ...], default("the paper's four")] = ()
     """Action spaces to replay in."""
-    engine: EngineName = "auto"
+    engine: EngineChoice = "auto"
     """What steps the physics."""
 
     def __post_init__(self) -> None:

@@ -5,6 +5,7 @@ from typing import Any, Literal, get_args, get_origin
 TaskName = Literal["lift", "lift_upright", "pick_place_can", "push", "roll_ball", "square"]
 """The files of `jaxcam/sim/tasks`."""
 SceneName = Literal["fixed", "randomized"]
+"""Whether table and room stand where they always do, or somewhere else in every episode."""
 PolicyName = Literal["act", "diffusion", "smolvla"]
 PresetName = Literal["auto", "laptop", "paper", "lerobot", "original", "tiny"]
 Conditioning = Literal["none", "token", "early", "late", "keypoints"]
@@ -20,7 +21,9 @@ Stem = Literal["keep", "new"]
 Split = Literal["test", "validation"]
 ProtocolName = Literal["one", "paper"]
 Cluster = Literal["none", "slurm", "local"]
-EngineName = Literal["auto", "native", "mjx-jax", "mjx-warp", "sapien", "sapien-gpu"]
+EngineName = Literal["native", "mjx-jax", "mjx-warp", "sapien", "sapien-gpu"]
+EngineChoice = Literal["auto", EngineName]
+"""`auto` is the fastest engine on this machine that can step the task's world."""
 
 
 def names_of(hint: Any) -> tuple[str, ...]:

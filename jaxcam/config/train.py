@@ -14,7 +14,7 @@ from jaxcam.config.flags import PRESET, FromPreset, default
 from jaxcam.config.names import (
     ActionSpace,
     Conditioning,
-    EngineName,
+    EngineChoice,
     LoggerName,
     OptimizerName,
     PolicyName,
@@ -107,7 +107,7 @@ class TrainConfig:
     """Validation demonstrations."""
     pairs: int = 50
     """Held-out (initial state, camera pose) pairs of the final evaluation."""
-    engine: EngineName = "auto"
+    engine: EngineChoice = "auto"
     """Physics of the final evaluation; auto is mjx-warp on an accelerator and native without, and
     for the tasks of ManiSkill sapien-gpu on an NVIDIA card and sapien without."""
     ensemble: float = 0.0

@@ -154,7 +154,7 @@ def run_expert(task: Task, scene: World, engine: Engine, seeds: list[int]) -> li
     state = engine.reset(start)
     rngs = [task.rng(seed) for seed in seeds]
     each = (Start(*row) for row in zip(*start, strict=True))
-    sights = [Sight(*x) for x in zip(*_seen(state), rngs, each, strict=True)]
+    sights = [Sight(*x) for x in zip(*_sensed(state), rngs, each, strict=True)]
     experts = [task.expert(scene, sight) for sight in sights]
     trace: list[State] = [state]
     commands: list[np.ndarray] = []
@@ -171,8 +171,8 @@ def run_expert(task: Task, scene: World, engine: Engine, seeds: list[int]) -> li
         state = engine.step(state, Command(command[:, :6], command[:, 6]), active=running)
         commands.append(command)
         trace.append(state)
-        for sight, *seen in zip(sights, *_seen(state), strict=True):
-            sight.grip_position, sight.grip_rotation, sight.qpos = seen
+        for sight, position, rotation, qpos in zip(sights, *_sensed(state), strict=True):
+            sight.grip_position, sight.grip_rotation, sight.qpos = position, rotation, qpos
     done = task.success(scene, trace[-1], start) & state.ok
     return [
         _demo(trace, commands, start, i, seed, int(lengths[i])) if done[i] else None
@@ -180,7 +180,7 @@ def run_expert(task: Task, scene: World, engine: Engine, seeds: list[int]) -> li
     ]
 
 
-def _seen(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _sensed(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return state.grip_position, state.grip_rotation, state.qpos
 
 

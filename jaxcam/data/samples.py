@@ -110,20 +110,20 @@ class Samples:
         Returns:
             bool [pictures]; None when they are more than half of all.
         """
-        seen = np.zeros(self.layout.total, bool)
+        wanted = np.zeros(self.layout.total, bool)
         if self.train < len(self.layout.lengths):
-            self._mark(seen, self.validation(views), obs_steps)
+            self._mark(wanted, self.validation(views), obs_steps)
         for seed in seeds:
             for epoch in range(-(-steps * batch // self.train)):
-                self._mark(seen, self._epoch(seed, epoch, views), obs_steps)
-                if epoch % 100 == 0 and seen.mean() > 0.5:
+                self._mark(wanted, self._epoch(seed, epoch, views), obs_steps)
+                if epoch % 100 == 0 and wanted.mean() > 0.5:
                     return None
-        return seen if seen.mean() <= 0.5 else None
+        return wanted if wanted.mean() <= 0.5 else None
 
-    def _mark(self, seen: np.ndarray, sample: Sample, obs_steps: int) -> None:
+    def _mark(self, wanted: np.ndarray, sample: Sample, obs_steps: int) -> None:
         demo, t, cameras = sample
         times = history(t, obs_steps)[..., None]
-        seen[self.layout.at(demo[:, None, None], times, cameras[:, None])] = True
+        wanted[self.layout.at(demo[:, None, None], times, cameras[:, None])] = True
 
 
 def history(t: np.ndarray, obs_steps: int) -> np.ndarray:

@@ -99,7 +99,7 @@ def write_video(path: str | Path, pictures: np.ndarray, fps: float = 20, *, crf:
 
     Args:
         path: Where the video goes; folders are made.
-        pictures: uint8 [T, H, W, 3], RGB, at least one picture.
+        pictures: At least one, uint8 [T, H, W, 3], RGB.
         fps: Pictures a second.
         crf: Quality of libx264, 0 (lossless) to 51.
 

@@ -161,9 +161,9 @@ class Camera:
         x, y = normalised(K, pixels[..., 0], pixels[..., 1])
         if distortion is not None:
             x, y, z = sight_lines(x, y, distortion, self.lens)
-            seen = z > 0
-            x, y = (xp.where(seen, a / xp.where(seen, z, 1), 0) for a in (x, y))
-            depth = xp.where(seen, depth, 0)
+            in_front = z > 0
+            x, y = (xp.where(in_front, a / xp.where(in_front, z, 1), 0) for a in (x, y))
+            depth = xp.where(in_front, depth, 0)
         p = xp.stack(xp.broadcast_arrays(x * depth, y * depth, depth), axis=-1)
         return matmul(pose[..., :3, :3], p[..., None])[..., 0] + pose[..., :3, 3]
 
@@ -233,9 +233,9 @@ class Camera:
         """Which pixels have a ray, bool `[*batch, height, width]`: all of a pinhole's do."""
         if self.distortion is None:
             return np.ones((*self.batch, self.height, self.width), bool)
-        found = valid(self.K, self.height, self.width, self.distortion, lens=self.lens)
+        has_ray = valid(self.K, self.height, self.width, self.distortion, lens=self.lens)
         shape = (*self.batch, self.height, self.width)
-        return array_namespace(found).broadcast_to(found, shape)
+        return array_namespace(has_ray).broadcast_to(has_ray, shape)
 
     def validate(self, name: str = "camera") -> "Camera":
         """Check all parameters where they are concrete; call it where cameras are read.

@@ -131,8 +131,8 @@ def ray_picture(image: np.ndarray, rays: np.ndarray) -> Figure:
     """An image beside its ray-map: directions and moments as colours.
 
     Args:
-        image: uint8 or float in 0 to 255, [H, W, 3].
-        rays: [H, W, 6], (direction, moment).
+        image: Levels 0 to 255, uint8 or float [H, W, 3].
+        rays: Its ray-map [H, W, 6], (direction, moment).
 
     Returns:
         The figure.

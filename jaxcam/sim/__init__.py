@@ -4,11 +4,12 @@ import pkgutil
 from collections.abc import Sequence
 from importlib import import_module
 
+from jaxcam.config.names import EngineName
 from jaxcam.errors import ConfigError, closest
 from jaxcam.sim import tasks
 from jaxcam.sim.engine import Engine
 from jaxcam.sim.painter import Painter
-from jaxcam.sim.simulators import SIMULATORS, EngineName, Simulator
+from jaxcam.sim.simulators import SIMULATORS, Simulator
 from jaxcam.sim.task import Task
 from jaxcam.sim.types import ControllerName
 from jaxcam.sim.world import World
@@ -33,7 +34,7 @@ def make_task(name: str) -> Task:
     """The task of that name: the one in `jaxcam/sim/tasks/<name>.py`. It loads no simulator.
 
     Raises:
-        ConfigError: if there is none; the message names the closest.
+        ConfigError: If there is none; the message names the closest.
     """
     if name not in task_names():
         raise ConfigError(f"Unknown task {name!r}{closest(name, task_names())}")
@@ -54,7 +55,7 @@ def engine_name(name: str, world: World) -> EngineName:
         world: The world.
 
     Raises:
-        ConfigError: if there is no such engine, or it cannot step this world.
+        ConfigError: If there is no such engine, or it cannot step this world.
     """
     simulator = simulator_of(world)
     if name == "auto":
@@ -84,7 +85,7 @@ def make_engine(
         varied: Geoms whose sizes differ between episodes.
 
     Raises:
-        ConfigError: if there is none, or it cannot run the world; the message says which can.
+        ConfigError: If there is none, or it cannot run the world; the message says which can.
     """
     engines = simulator_of(world).engines
     chosen = next(iter(engines)) if name is None else engine_name(name, world)

@@ -9,8 +9,9 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any, Literal
 
+from jaxcam.config.names import EngineName
+
 SimulatorName = Literal["mujoco", "sapien"]
-EngineName = Literal["native", "mjx-jax", "mjx-warp", "sapien", "sapien-gpu"]
 
 
 @dataclass(frozen=True)

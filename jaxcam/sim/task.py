@@ -71,14 +71,14 @@ class Task(ABC):
         """Makes sure that this machine can run the task.
 
         Raises:
-            SimError: if it cannot; the message says what is missing and how to get it.
+            SimError: If it cannot; the message says what is missing and how to get it.
         """
 
     def scene(self, name: str) -> World:
         """The task's world, `fixed` or `randomized`; made once a process.
 
         Raises:
-            ConfigError: if there is no such scene.
+            ConfigError: If there is no such scene.
         """
         return SIMULATORS[self.simulator].world(self, name)
 

@@ -8,8 +8,6 @@ import numpy as np
 
 from jaxcam.rays.rotations import Array
 
-SceneName = Literal["fixed", "randomized"]
-"""Whether table and room stand where they always do, or somewhere else in every episode."""
 ControllerName = Literal["osc_pose", "joint_position"]
 
 

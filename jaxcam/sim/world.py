@@ -6,12 +6,11 @@ from typing import ClassVar, get_args
 
 import numpy as np
 
+from jaxcam.config.names import SceneName, names_of
 from jaxcam.errors import ConfigError, closest
 from jaxcam.rays.rotations import Array, array_namespace
 from jaxcam.sim.simulators import SimulatorName
-from jaxcam.sim.types import SceneName
 
-SCENES: tuple[SceneName, ...] = get_args(SceneName)
 PROPRIO_DIM = 11
 """Numbers that the robot feels, see `World.proprio`."""
 
@@ -69,9 +68,9 @@ def scene_name(name: str) -> SceneName:
     """The scene of that name.
 
     Raises:
-        ConfigError: if there is none; the message names the closest.
+        ConfigError: If there is none; the message names the closest.
     """
-    for known in SCENES:
+    for known in get_args(SceneName):
         if name == known:
             return known
-    raise ConfigError(f"Unknown scene {name!r}{closest(name, SCENES)}.")
+    raise ConfigError(f"Unknown scene {name!r}{closest(name, names_of(SceneName))}.")

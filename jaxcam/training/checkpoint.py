@@ -184,10 +184,10 @@ class Checkpoints:
             self._manager.reload()
         return Restored(state, side)
 
-    def _prune(self, every: int) -> None:
+    def _prune(self, spacing: int) -> None:
         """Remove what is neither the newest nor among the newest at regular steps."""
         steps = self.steps()
-        kept = {steps[-1], *[step for step in steps if step % every == 0][-self._keep :]}
+        kept = {steps[-1], *[step for step in steps if step % spacing == 0][-self._keep :]}
         for step in steps:
             if step not in kept:
                 self._manager.delete(step)

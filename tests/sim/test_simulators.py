@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from jaxcam.config.names import EngineName, TaskName, names_of
+from jaxcam.config.names import EngineChoice, EngineName, TaskName, names_of
 from jaxcam.errors import ConfigError
 from jaxcam.sim import engine_name, make_task, task_names
 from jaxcam.sim.simulators import SIMULATORS
@@ -32,7 +32,8 @@ def test_what_a_task_says_of_itself_loads_no_simulator():
 def test_settings_know_every_task_and_engine():
     assert sorted(names_of(TaskName)) == list(task_names())
     engines = [name for simulator in SIMULATORS.values() for name in simulator.engines]
-    assert sorted(names_of(EngineName)) == sorted(["auto", *engines])
+    assert sorted(names_of(EngineName)) == sorted(engines)
+    assert names_of(EngineChoice) == ("auto", *names_of(EngineName))
 
 
 @pytest.mark.parametrize("name", SIMULATORS)

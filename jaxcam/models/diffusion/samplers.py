@@ -61,7 +61,7 @@ def make_table(sampler: str, alphas: np.ndarray, steps: int) -> Table:
     """The table of a sampler.
 
     Args:
-        sampler: ddpm, or ddim (without fresh noise).
+        sampler: `ddpm`, or `ddim` (without fresh noise).
         alphas: From `cosine_alphas`.
         steps: Denoising steps, at most as many as there are noising steps.
     """

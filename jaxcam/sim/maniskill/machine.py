@@ -51,7 +51,7 @@ class Device(NamedTuple):
     """As the driver tells it, or what went wrong."""
 
     @classmethod
-    def found(cls, kind: str, code: str) -> Self:
+    def tried(cls, kind: str, code: str) -> Self:
         """Tries code in a process of its own, which prints the device's name."""
         try:
             done = subprocess.run(
@@ -96,8 +96,8 @@ def has_nvidia() -> bool:
 @functools.cache
 def device() -> Device:
     """What SAPIEN can draw with here: an NVIDIA card, else a processor, else nothing."""
-    card = Device.found("gpu", DRAWING.format(name="cuda")) if has_nvidia() else Device("", "")
-    return card if card.kind else Device.found("cpu", DRAWING.format(name="cpu"))
+    card = Device.tried("gpu", DRAWING.format(name="cuda")) if has_nvidia() else Device("", "")
+    return card if card.kind else Device.tried("cpu", DRAWING.format(name="cpu"))
 
 
 @functools.cache
@@ -110,7 +110,7 @@ def cuda() -> Device:
         return Device("", "there is no NVIDIA card with its driver")
     if device().kind != "gpu":
         return Device("", f"SAPIEN cannot draw on the card ({device().name})")
-    return Device.found("gpu", SIMULATING)
+    return Device.tried("gpu", SIMULATING)
 
 
 def has_accelerator() -> bool:
@@ -122,7 +122,7 @@ def require() -> None:
     """Makes sure that ManiSkill can be run and can draw.
 
     Raises:
-        SimError: if not; the message says what is missing and how to get it.
+        SimError: If not; the message says what is missing and how to get it.
     """
     hint = "`python -m jaxcam.check --env` tells more. The MuJoCo tasks do not need it."
     if sys.platform != "linux":
@@ -143,7 +143,7 @@ def require_cuda() -> None:
     """Makes sure that ManiSkill can simulate on a card.
 
     Raises:
-        SimError: if not; the message says why.
+        SimError: If not; the message says why.
     """
     require()
     if not cuda().kind:

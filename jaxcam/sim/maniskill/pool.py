@@ -78,7 +78,7 @@ class Child:
         """What the last request returned.
 
         Raises:
-            SimError: if the child died or hung twice, or could not do what was asked.
+            SimError: If the child died or hung twice, or could not do what was asked.
         """
         while True:
             try:
@@ -199,7 +199,7 @@ class Pool:
         """Asks children, all at once, and waits for their answers.
 
         Raises:
-            SimError: see `Child.answer`.
+            SimError: See `Child.answer`.
         """
         for child, request in requests:
             child.ask(*request)
@@ -224,7 +224,7 @@ def pool_of(world: SapienWorld, *, on_gpu: bool = False) -> Pool:
     """The children of a world, shared by all that step and draw it.
 
     Raises:
-        SimError: if this machine cannot run them; the message says what is missing.
+        SimError: If this machine cannot run them; the message says what is missing.
     """
     require_cuda() if on_gpu else require()
     return _shared(world, on_gpu)

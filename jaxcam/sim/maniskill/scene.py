@@ -55,7 +55,7 @@ class SapienWorld(World):
         """No size differs between ManiSkill's episodes.
 
         Raises:
-            KeyError: always.
+            KeyError: Always.
         """
         raise KeyError(geom)
 
@@ -64,7 +64,7 @@ def scene_of(task: ManiSkillTask, name: str) -> SapienWorld:
     """The world of a task's environment; made once a process.
 
     Raises:
-        ConfigError: if there is no such scene.
+        ConfigError: If there is no such scene.
     """
     return _scene_of(type(task), name)
 

@@ -26,7 +26,7 @@ class Assignment:
 
 def open_env(to: Assignment, width: int, eye: tuple[int, int] | None = None) -> Any:
     """A new environment of `width` worlds, drawn if it has an eye; see `envs.JaxcamEnv`."""
-    import gymnasium
+    import gymnasium  # like SAPIEN below, of the optional extra `maniskill`
 
     import jaxcam.sim.maniskill.envs  # noqa: F401  (registers the environments)
 
@@ -98,7 +98,7 @@ class _World:
     """One environment: its parts as SAPIEN knows them, without ManiSkill's batches of tensors."""
 
     def __init__(self, to: Assignment) -> None:
-        import sapien
+        import sapien  # of an optional extra
 
         self.env = env = open_env(to, 1)
         self._sizes = to.sizes
@@ -139,7 +139,7 @@ class _World:
         The order in which PhysX solves contacts follows from all the contacts that a scene has
         ever had: the same episode would end otherwise the second time.
         """
-        import sapien
+        import sapien  # of an optional extra
 
         physics = sapien.physx.PhysxCpuSystem()
         physics.timestep = self._physics.timestep

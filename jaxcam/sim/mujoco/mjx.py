@@ -41,7 +41,7 @@ class MjxEngine(Engine):
             it is doubled, and what was computed is computed again.
 
     Raises:
-        ConfigError: if MJX-JAX cannot collide two of the scene's geoms.
+        ConfigError: If MJX-JAX cannot collide two of the scene's geoms.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class MjxEngine(Engine):
         """Advances the worlds one control step; see `Engine.step`.
 
         Raises:
-            SimError: if contacts were lost for want of room, however much there was.
+            SimError: If contacts were lost for want of room, however much there was.
         """
         run = jnp.ones(len(state.ok), bool) if active is None else active
         return self._with_room(lambda: self._jit_advance(self._bodies, state, command, run))
@@ -102,7 +102,7 @@ class MjxEngine(Engine):
         It is compiled once for a `turn`, a `success` and the arrays' shapes.
 
         Raises:
-            SimError: if contacts were lost for want of room, however much there was.
+            SimError: If contacts were lost for want of room, however much there was.
         """
         self._tick, self._ticks_left = tick, horizon
         progress, trace = self._with_room(

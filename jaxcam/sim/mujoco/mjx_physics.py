@@ -48,7 +48,7 @@ class MjxPhysics:
         impl: `warp` or `jax`.
 
     Raises:
-        ConfigError: if MJX-JAX cannot collide two of the scene's geoms.
+        ConfigError: If MJX-JAX cannot collide two of the scene's geoms.
     """
 
     def __init__(

@@ -77,7 +77,7 @@ class Room:
             renew: Makes the programs anew, after the room was doubled.
 
         Raises:
-            SimError: if contacts were lost for want of room, however much there was.
+            SimError: If contacts were lost for want of room, however much there was.
         """
         while True:
             result = jax.block_until_ready(compute())

@@ -97,7 +97,7 @@ def build_scene(
         The scene with both models compiled.
 
     Raises:
-        ConfigError: if there is no such scene.
+        ConfigError: If there is no such scene.
     """
     known_name = scene_name(name)
     xml, home = assemble(objects, TABLE_TOP)
