@@ -45,7 +45,7 @@ def show() -> None:
     console = Console()
     console.print("jaxcam COMMAND …: robot policies that know where the camera is.\n")
     console.print(table)
-    console.print("\njaxcam COMMAND --help tells of one; python -m jaxcam.COMMAND is the same.")
+    console.print("\njaxcam COMMAND --help lists its flags; python -m jaxcam.COMMAND is the same.")
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""`python -m jaxcam.check DATASET|RUN|--env`: the doctor of datasets, runs and machines."""
+"""`python -m jaxcam.check DATASET|RUN|--env`: Find faults of a dataset, a run or this machine."""
 
 from jaxcam.config.commands import CheckConfig
 from jaxcam.console.command import Command

@@ -1,4 +1,4 @@
-"""`python -m jaxcam.collect`: demonstrations of the scripted expert, as states and commands."""
+"""`python -m jaxcam.collect`: Collect demonstrations of the scripted expert."""
 
 from jaxcam.config.datasets import CollectConfig
 from jaxcam.console.command import Command

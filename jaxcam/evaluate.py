@@ -1,4 +1,4 @@
-"""`python -m jaxcam.evaluate RUN…`: success on held-out initial states and camera poses."""
+"""`python -m jaxcam.evaluate RUN…`: Evaluate runs on held-out initial states and camera poses."""
 
 from jaxcam.config.commands import EvaluateConfig
 from jaxcam.console.command import Command

@@ -1,4 +1,4 @@
-"""`python -m jaxcam.lerobot DATASET OUT`: a dataset in LeRobot's v3.0 format, cameras included."""
+"""`python -m jaxcam.lerobot DATASET OUT`: Export a dataset in LeRobot's v3 format."""
 
 from jaxcam.config.datasets import LerobotConfig
 from jaxcam.console.command import Command

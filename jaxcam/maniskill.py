@@ -1,4 +1,4 @@
-"""`python -m jaxcam.maniskill FILE.h5`: ManiSkill's trajectories as a jaxcam dataset."""
+"""`python -m jaxcam.maniskill FILE.h5`: Import ManiSkill's trajectories."""
 
 from jaxcam.config.datasets import ManiskillConfig
 from jaxcam.console.command import Command

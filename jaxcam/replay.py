@@ -1,4 +1,4 @@
-"""`python -m jaxcam.replay DATASET`: what demonstrations are worth in each action space."""
+"""`python -m jaxcam.replay DATASET`: Count how many demonstrations succeed in each action space."""
 
 from jaxcam.config.datasets import ReplayConfig
 from jaxcam.console.command import Command

@@ -1,4 +1,4 @@
-"""`python -m jaxcam.report RUNS…`: many runs beside the paper, as Markdown, LaTeX, CSV and HTML."""
+"""`python -m jaxcam.report RUN…`: Compare runs with each other and with the paper."""
 
 from jaxcam.config.commands import ReportConfig
 from jaxcam.console.command import Command

@@ -1,4 +1,4 @@
-"""`python -m jaxcam.robomimic FILE`: demonstrations of robomimic's as a jaxcam dataset."""
+"""`python -m jaxcam.robomimic FILE`: Import robomimic's demonstrations."""
 
 from jaxcam.config.datasets import RobomimicConfig
 from jaxcam.console.command import Command

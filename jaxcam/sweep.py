@@ -1,4 +1,4 @@
-"""`python -m jaxcam.sweep GRID.yaml`: trains and evaluates all runs of a grid."""
+"""`python -m jaxcam.sweep GRID.yaml`: Train and evaluate all runs of a grid."""
 
 from jaxcam.config.commands import SweepConfig
 from jaxcam.console.command import Command

@@ -1,4 +1,4 @@
-"""`python -m jaxcam.train`: from demonstrations to a report, in one go."""
+"""`python -m jaxcam.train`: Train a policy, evaluate it on unseen cameras, and report."""
 
 from jaxcam.config.train import TrainConfig
 from jaxcam.console.command import Command

@@ -1,4 +1,4 @@
-"""`python -m jaxcam.weights FILE|RUN`: weights of others, and ours for LeRobot."""
+"""`python -m jaxcam.weights FILE|RUN`: Look at a file of weights; convert policies for LeRobot."""
 
 from jaxcam.config.commands import WeightsConfig
 from jaxcam.console.command import Command

@@ -26,7 +26,11 @@ class EvaluateConfig:
     The same command run again goes on with what is missing.
     """
 
-    run: tyro.conf.Positional[tuple[str, ...]]
+    run: tyro.conf.Positional[
+        Annotated[
+            tuple[str, ...], tyro.conf.arg(metavar="RUN ...", help_behavior_hint="(required)")
+        ]
+    ]
     """Folders of runs."""
     protocol: ProtocolName = "one"
     """one is a single checkpoint; paper is the last 10 checkpoints on 50 pairs each (3 seeds are 3
@@ -48,7 +52,7 @@ class EvaluateConfig:
     )
     """Rate of temporal ensembling, 0 is off. Rows of different rates are not mixed."""
     videos: int = 16
-    """Rollouts shown in each of two videos, of the first pairs and of failures; 0 is none."""
+    """Rollouts in each of two videos, one of the first pairs and one of failures; 0 is none."""
     distributed: bool = False
     """Be one of several processes that share the rollouts; they find each other as those of
     `jaxcam.train --distributed` do."""
@@ -69,7 +73,11 @@ class EvaluateConfig:
 class ReportConfig:
     """Compare runs with each other and with the paper: tables, figures and one HTML page."""
 
-    runs: tyro.conf.Positional[tuple[str, ...]]
+    runs: tyro.conf.Positional[
+        Annotated[
+            tuple[str, ...], tyro.conf.arg(metavar="RUN ...", help_behavior_hint="(required)")
+        ]
+    ]
     """Run folders, folders of runs, or folders that this command wrote."""
     out: str = "report"
     """Folder to write."""
@@ -84,7 +92,9 @@ class ReportConfig:
 class CheckConfig:
     """Look for what is wrong with a dataset, a run or this machine; exit code 1 if anything is."""
 
-    target: tyro.conf.Positional[str] = ""
+    target: tyro.conf.Positional[
+        Annotated[str, tyro.conf.arg(metavar="[DATASET|RUN]"), default("none")]
+    ] = ""
     """A dataset (also a file of robomimic's or ManiSkill's, as it would be imported) or a run's
     folder."""
     env: bool = False
@@ -107,7 +117,7 @@ class CheckConfig:
 class SweepConfig:
     """Train and evaluate all runs of a grid; what is done is skipped, what was stopped goes on."""
 
-    grid: tyro.conf.Positional[str]
+    grid: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="GRID.yaml")]]
     """YAML file; grids/ has one for every table and figure of the paper."""
     jobs: int = 1
     """Runs at once."""
@@ -115,7 +125,7 @@ class SweepConfig:
     """Where runs go: none is this machine; slurm goes through submitit (extra `sweep`), and local
     does so on this machine, to try it."""
     retries: int = 3
-    """Times that a run is started again that was killed or preempted."""
+    """How often a run that was killed or preempted is started again."""
     list: bool = False
     """Print the runs, how far they are and their commands, and start nothing."""
 
@@ -127,17 +137,17 @@ class SweepConfig:
 
 @dataclass(frozen=True)
 class WeightsConfig:
-    """Look at a file of weights, or carry a policy to or from a LeRobot checkpoint."""
+    """Look at a file of weights, or convert a policy to or from a LeRobot checkpoint."""
 
-    source: tyro.conf.Positional[str]
+    source: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="FILE|FOLDER")]]
     """A .safetensors, .pt or .pth file to look at; or a folder: of a run, with --export, or of a
     LeRobot checkpoint, with --run-dir."""
-    export: str = ""
+    export: Annotated[str, default("none")] = ""
     """Folder to write the run's policy to, as a LeRobot checkpoint."""
     step: Annotated[int | None, tyro.conf.arg(metavar="INT"), default("newest whole one")] = None
     """The run's checkpoint to export."""
-    run_dir: str = ""
-    """Folder of a run to make of the LeRobot checkpoint, for `python -m jaxcam.evaluate`."""
+    run_dir: Annotated[str, default("none")] = ""
+    """Folder of a new run, made of the LeRobot checkpoint, for `python -m jaxcam.evaluate`."""
     task: TaskName = "lift"
     """What that policy was trained to do."""
     scene: SceneName = "randomized"

@@ -33,7 +33,7 @@ class CollectConfig:
     n: Annotated[FromPreset[int], default("the task's")] = PRESET
     """Cameras a demonstration is seen from."""
     m: Annotated[FromPreset[int], default("the task's")] = PRESET
-    """Cameras by which that window moves from one demonstration to the next."""
+    """How many cameras later the cameras of the next demonstration begin; 0 gives all the same."""
     seed: int = 0
     """Seed of the initial states and of the expert."""
     data_dir: str = "data"
@@ -56,7 +56,7 @@ class CollectConfig:
 class ReplayConfig:
     """Replay demonstrations in each action space and count how many succeed."""
 
-    dataset: tyro.conf.Positional[str]
+    dataset: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="DATASET")]]
     """HDF5 file of demonstrations; one of ManiSkill's is imported first (`jaxcam.maniskill`)."""
     action_space: Annotated[tuple[ActionSpace, ...], default("the paper's four")] = ()
     """Action spaces to replay in."""
@@ -71,7 +71,7 @@ class ReplayConfig:
 class ImportConfig:
     """Import demonstrations of others by their states."""
 
-    file: tyro.conf.Positional[str]
+    file: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="FILE")]]
     """File to import."""
     out: Annotated[
         str | None, tyro.conf.arg(metavar="STR"), default("data/TASK-SCENE-FILE.hdf5")
@@ -86,7 +86,7 @@ class ImportConfig:
     n: Annotated[FromPreset[int], default("the task's")] = PRESET
     """Cameras a demonstration is seen from."""
     m: Annotated[FromPreset[int], default("the task's")] = PRESET
-    """Cameras by which that window moves from one demonstration to the next."""
+    """How many cameras later the cameras of the next demonstration begin; 0 gives all the same."""
 
     def __post_init__(self) -> None:
         check_types(self)
@@ -104,7 +104,7 @@ class RobomimicConfig(ImportConfig):
     actions: CommandSource = "commands"
     """Where commands come from: the file's own OSC_POSE actions, or the poses that its states
     reach, which every file has."""
-    filter_key: Annotated[str | None, tyro.conf.arg(metavar="STR"), default("every one")] = None
+    filter_key: Annotated[str | None, tyro.conf.arg(metavar="STR"), default("all")] = None
     """Import only the demonstrations of this entry of the file's `mask`."""
 
 
@@ -117,9 +117,9 @@ class ManiskillConfig(ImportConfig):
 class LerobotConfig:
     """Export a dataset in LeRobot's v3 format: Parquet, MP4 and metadata with the cameras."""
 
-    dataset: tyro.conf.Positional[str]
+    dataset: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="DATASET")]]
     """HDF5 file of demonstrations."""
-    out: tyro.conf.Positional[str]
+    out: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="FOLDER")]]
     """Folder to write."""
     resolution: int = 256
     """Image side in pixels, an even number; 84 shares the laptop preset's pictures."""

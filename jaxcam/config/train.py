@@ -63,13 +63,13 @@ class TrainConfig:
     lr: FromPreset[float] = PRESET
     """Learning rate at its peak."""
     schedule: FromPreset[ScheduleName] = PRESET
-    """Course of the learning rate after the warm-up."""
+    """How the learning rate goes on after the warm-up."""
     warmup: FromPreset[int] = PRESET
     """Updates over which the learning rate rises to its peak."""
     final_lr: FromPreset[float] = PRESET
     """Learning rate at the end of a cosine."""
     optimizer: FromPreset[OptimizerName] = PRESET
-    """Whether the weight decay stands beside Adam's update (adamw) or in the gradient (adam)."""
+    """adamw decays the weights themselves, adam adds the decay to the gradient."""
     weight_decay: FromPreset[float] = PRESET
     """Weight decay."""
     beta1: FromPreset[float] = PRESET
@@ -81,18 +81,18 @@ class TrainConfig:
     ema: FromPreset[float] = PRESET
     """Largest decay of the weights' moving average, which is then evaluated; 0 is off."""
     ema_power: FromPreset[float] = PRESET
-    """The decay rises as 1 - update^-power up to that; 0 has it there from the start."""
+    """The decay rises to --ema as 1 - update^-power; 0 starts with --ema itself."""
     precision: FromPreset[Precision] = PRESET
     """Arithmetic of the networks; weights and rays are always float32."""
     resolution: FromPreset[int] = PRESET
     """Image side in pixels."""
     crop_min: FromPreset[float] = PRESET
     """Smallest side of a random crop as a share of the image; 1 is off."""
-    model: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
+    model: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ..."), default("none")] = ()
     """Changes to the policy's network as name=value, for example width=256."""
-    weights: str = ""
-    """File of weights to start from: those of an image encoder or of a whole policy. What a file
-    is, `python -m jaxcam.weights FILE` tells."""
+    weights: Annotated[str, default("none")] = ""
+    """File of weights to start from: those of an image encoder or of a whole policy. See what a
+    file holds with `python -m jaxcam.weights FILE`."""
     stem: Stem = "keep"
     """A first convolution that also takes the ray-map keeps the weights' kernel for colours, or
     starts anew, as the authors' does."""
@@ -100,7 +100,7 @@ class TrainConfig:
     n: Annotated[FromPreset[int], default("the task's")] = PRESET
     """Cameras a demonstration is seen from."""
     m: Annotated[FromPreset[int], default("the task's")] = PRESET
-    """Cameras by which that window moves from one demonstration to the next."""
+    """How many cameras later the cameras of the next demonstration begin; 0 gives all the same."""
     demos: int = 200
     """Training demonstrations."""
     validation: int = 10
@@ -115,7 +115,7 @@ class TrainConfig:
     at every step, and all that it ever predicted for a step is averaged; 0 is off."""
 
     videos: int = 16
-    """Rollouts shown in each of two videos of the final evaluation, of the first pairs and of
+    """Rollouts in each of two videos of the final evaluation, one of the first pairs and one of
     failures; 0 is none."""
 
     data_dir: str = "data"
@@ -127,7 +127,7 @@ class TrainConfig:
     log_every: FromPreset[int] = PRESET
     """Updates between rows of metrics."""
     eval_every: FromPreset[int] = PRESET
-    """Updates between looks at the validation demonstrations."""
+    """Updates between losses on the validation demonstrations."""
     save_every: FromPreset[int] = PRESET
     """Updates between checkpoints."""
     keep: int = 10
