@@ -20,7 +20,7 @@ ASTRAY = 0.2
 """Distance (m) between a command and where the grip is next that no controller leaves."""
 COMMAND = ("x (m)", "y (m)", "z (m)", "turn x (rad)", "turn y (rad)", "turn z (rad)", "gripper")
 """The numbers of a recorded action."""
-Row = tuple[str, str, str, str]
+Spread = tuple[str, str, str, str]
 """A quantity with its least, middle and largest value, as people write them."""
 
 
@@ -114,7 +114,7 @@ def check_rate(episodes: Sequence[Demo]) -> Finding:
     )
 
 
-def statistics(demos: Demos) -> list[Row]:
+def statistics(demos: Demos) -> list[Spread]:
     """Least, middle and largest value of what is worth seeing."""
     episodes = demos.episodes
     actions = np.concatenate([d.actions for d in episodes])

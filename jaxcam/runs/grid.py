@@ -108,7 +108,7 @@ class Grid:
 
 
 @dataclass(frozen=True)
-class Progress:
+class Standing:
     """How far a run is.
 
     Attributes:
@@ -163,7 +163,7 @@ def read_grid(path: str | Path) -> Grid:
     return Grid(content.get("title", path.stem), home(content["runs_dir"]), [*runs.values()], slurm)
 
 
-def progress_of(run: Planned) -> Progress:
+def progress_of(run: Planned) -> Standing:
     """How far a run is, from its folder."""
     metrics = read_jsonl(run.folder / "metrics.jsonl")
     step = int(max((row.get("step", 0) for row in metrics), default=0))
@@ -174,7 +174,7 @@ def progress_of(run: Planned) -> Progress:
     ]
     asked = len(run.steps) * run.pairs
     to_run = sum(len(missing([r for r in rows if r.step == s], run.pairs)) for s in run.steps)
-    return Progress(step, asked - to_run, asked, success_rate(latest_rows(rows)))
+    return Standing(step, asked - to_run, asked, success_rate(latest_rows(rows)))
 
 
 def _plan(where: str, runs_dir: Path, given: dict[str, Any], protocol: ProtocolName) -> Planned:

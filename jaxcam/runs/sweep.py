@@ -19,7 +19,7 @@ from rich.table import Table
 from rich.text import Text
 
 from jaxcam.config.commands import SweepConfig
-from jaxcam.runs.grid import Grid, Planned, Progress, progress_of, read_grid
+from jaxcam.runs.grid import Grid, Planned, Standing, progress_of, read_grid
 from jaxcam.runs.jobs import PREEMPTED, Executor, Here, Job, Started, Submitit
 
 SECONDS = 1.0
@@ -32,7 +32,7 @@ class Entry:
     """A run of the grid and where it stands."""
 
     run: Planned
-    progress: Progress
+    progress: Standing
     state: str
     job: Started | None = None
     starts: int = 0
@@ -179,7 +179,7 @@ def table(grid: Grid, entries: Sequence[Entry], height: int) -> Group:
     return Group(shown, Text(", ".join(words)))
 
 
-def _rate(progress: Progress) -> str:
+def _rate(progress: Standing) -> str:
     e = progress.estimate
     return f"{100 * e.value:.1f} % [{100 * e.low:.1f}, {100 * e.high:.1f}]" if e.n else "–"
 

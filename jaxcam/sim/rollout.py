@@ -22,7 +22,7 @@ from jaxcam.sim.task import Task
 from jaxcam.sim.types import Command, Start, State, View
 from jaxcam.sim.world import World
 
-Act = Callable[[dict[str, np.ndarray], int], np.ndarray]
+PolicyCall = Callable[[dict[str, np.ndarray], int], np.ndarray]
 """`act(obs, call)`: observations of all episodes and number of the call, to chunks [B, T, A]. MJX
 engines want a `jax.tree_util.Partial`, so that new weights need no new compilation."""
 
@@ -31,7 +31,7 @@ engines want a `jax.tree_util.Partial`, so that new weights need no new compilat
 class Agent:
     """A policy, and how it is asked."""
 
-    act: Act
+    act: PolicyCall
     space: str
     """Of its actions, see `jaxcam.sim.actions`."""
     execute: int | None = None
@@ -117,7 +117,7 @@ def rollout(
 
 
 class _Inputs(NamedTuple):
-    act: Act
+    act: PolicyCall
     K: Array
     world_from_camera: Array
     base_from_camera: Array

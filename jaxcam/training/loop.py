@@ -17,7 +17,7 @@ from jaxcam.runs.folder import RunDir
 from jaxcam.runs.interrupts import Interrupt
 from jaxcam.training.records import Records
 from jaxcam.training.side import make_side
-from jaxcam.training.side_by_side import Run, SideBySide, batches
+from jaxcam.training.side_by_side import SeedRun, SideBySide, batches
 from jaxcam.training.state import TrainState, check_finite, init_state, make_optimizer
 
 
@@ -100,7 +100,7 @@ class Trainer:
         run: RunDir | None,
         weights: Weights | None,
         stack: contextlib.ExitStack,
-    ) -> Run:
+    ) -> SeedRun:
         """A run as it was last saved."""
         policy = self.policy
         side = make_side(
@@ -113,9 +113,9 @@ class Trainer:
         records = stack.enter_context(Records(run, config, side))
         init = load_after(policy.init, weights, config.stem == "new") if weights else policy.init
         fresh = init_state(init, self._tx, jax.random.key(config.seed), ema=config.ema > 0)
-        return Run(config.seed, records, from_first(records.restore(fresh)))
+        return SeedRun(config.seed, records, from_first(records.restore(fresh)))
 
-    def _advance(self, runs: Sequence[Run], goal: int) -> bool:
+    def _advance(self, runs: Sequence[SeedRun], goal: int) -> bool:
         """Updates runs side by side up to `goal`; whether they were stopped before."""
         config, first, stopping = self.config, runs[0].step, False
         group = SideBySide(runs, config, self.policy, self._tx)
@@ -154,7 +154,7 @@ class Trainer:
             group.forget()
         return note
 
-    def _check(self, run: Run, batch: Batch) -> None:
+    def _check(self, run: SeedRun, batch: Batch) -> None:
         """Stops a run that has diverged, and keeps the batch at which it did."""
         try:
             check_finite(run.state, seed=run.seed)
@@ -162,7 +162,7 @@ class Trainer:
             run.records.keep_batch(batch)
             raise
 
-    def _validation(self, run: Run, done: int) -> dict[str, float]:
+    def _validation(self, run: SeedRun, done: int) -> dict[str, float]:
         """A run's loss on the validation demonstrations, if it is time for it."""
         due = done % self.config.eval_every == 0 or done == self.config.steps
         if not self._held_out or not due:

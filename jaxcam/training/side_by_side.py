@@ -22,7 +22,7 @@ from jaxcam.training.watch import GradientWatch
 
 
 @dataclass
-class Run:
+class SeedRun:
     """A run in training."""
 
     seed: int
@@ -48,7 +48,7 @@ class SideBySide:
 
     def __init__(
         self,
-        runs: Sequence[Run],
+        runs: Sequence[SeedRun],
         config: TrainConfig,
         policy: Policy,
         tx: optax.GradientTransformation,

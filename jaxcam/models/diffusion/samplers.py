@@ -18,7 +18,7 @@ MAX_BETA = 0.999
 LEAST_VARIANCE = 1e-20
 
 
-class Table(NamedTuple):
+class StepTable(NamedTuple):
     """What a sampler does, each [steps]: next = clean * x0 + noisy * x + predicted * e + fresh * n.
 
     The estimate of the clean sample is x0 = clip((x - noise_share * e) / clean_share).
@@ -57,7 +57,7 @@ def add_noise(alphas: np.ndarray, x: jax.Array, noise: jax.Array, t: jax.Array) 
     return jnp.sqrt(share) * x + jnp.sqrt(1 - share) * noise
 
 
-def make_table(sampler: str, alphas: np.ndarray, steps: int) -> Table:
+def make_table(sampler: str, alphas: np.ndarray, steps: int) -> StepTable:
     """The table of a sampler.
 
     Args:
@@ -74,10 +74,10 @@ def make_table(sampler: str, alphas: np.ndarray, steps: int) -> Table:
     zero = np.zeros(steps, np.float32)
     if sampler == "ddim":
         mixed = {"clean": np.sqrt(then), "noisy": zero, "predicted": np.sqrt(one - then)}
-        return Table(t, np.sqrt(now), np.sqrt(one - now), **mixed, fresh=zero)
+        return StepTable(t, np.sqrt(now), np.sqrt(one - now), **mixed, fresh=zero)
     ratio = now / then
     variance = np.maximum((one - then) / (one - now) * (one - ratio), LEAST_VARIANCE)
-    return Table(
+    return StepTable(
         t,
         np.sqrt(now),
         np.sqrt(one - now),
@@ -89,7 +89,7 @@ def make_table(sampler: str, alphas: np.ndarray, steps: int) -> Table:
 
 
 def sample(
-    table: Table,
+    table: StepTable,
     predict: Callable[[jax.Array, jax.Array], jax.Array],
     x: jax.Array,
     noise: jax.Array | None = None,
@@ -103,7 +103,7 @@ def sample(
         noise: Fresh noise of every step [steps, B, ...]; without it none is added.
     """
 
-    def step(x: jax.Array, now: tuple[Table, jax.Array | None]) -> tuple[jax.Array, None]:
+    def step(x: jax.Array, now: tuple[StepTable, jax.Array | None]) -> tuple[jax.Array, None]:
         row, fresh = now
         predicted = predict(x, row.t)
         clean = jnp.clip((x - row.noise_share * predicted) / row.clean_share, -1, 1)

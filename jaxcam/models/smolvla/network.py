@@ -28,7 +28,7 @@ Prefix = tuple[KeyValue, ...]
 """What the expert may read of images, words and state: one for each of the layers that follow each
 other in turn, with all their repetitions along the first axis."""
 
-Block = tuple[Layer, ...]
+LayerBlock = tuple[Layer, ...]
 
 PRETRAINED = ("vision", "connector", "embed", "text")
 """Parts that come from the vision language model; all others start at random."""
@@ -141,7 +141,7 @@ class SmolVla(nnx.Module):
         x = self.time_out(jax.nn.silu(self.time_in(x)))
         crosses = [self.config.crosses(i) for i in range(self.turn)]
 
-        def step(block: Block, x: jax.Array, contexts: Prefix) -> tuple[jax.Array, None]:
+        def step(block: LayerBlock, x: jax.Array, contexts: Prefix) -> tuple[jax.Array, None]:
             for layer, context, cross in zip(block, contexts, crosses, strict=True):
                 x = (_cross_layer if cross else _joint_layer)(layer, x, context)
             return x, None
@@ -157,7 +157,9 @@ class SmolVla(nnx.Module):
             mask[:-1, :-1] = True
         crosses = [self.config.crosses(i) for i in range(self.turn)]
 
-        def step(blocks: tuple[Block, Block], x: jax.Array, _: None) -> tuple[jax.Array, Prefix]:
+        def step(
+            blocks: tuple[LayerBlock, LayerBlock], x: jax.Array, _: None
+        ) -> tuple[jax.Array, Prefix]:
             contexts = []
             for layer, reader, cross in zip(*blocks, crosses, strict=True):
                 y = layer.norm1(x)
@@ -169,7 +171,7 @@ class SmolVla(nnx.Module):
         both = list(zip(self._turns(self.text), self._turns(self.expert), strict=True))
         return through(both, step, x, remat=self.config.remat)[1]
 
-    def _turns(self, layers: Sequence[Layer]) -> list[Block]:
+    def _turns(self, layers: Sequence[Layer]) -> list[LayerBlock]:
         """Layers in groups that look alike: single ones, or pairs if every other one differs."""
         return [tuple(layers[i : i + self.turn]) for i in range(0, len(layers), self.turn)]
 

@@ -64,7 +64,7 @@ class Renderer:
 
     def rgb(self, view: View) -> np.ndarray:
         """Pictures, uint8 [B, H, W, 3], top row first."""
-        return self._draw(view)[0]
+        return self.rgb_and_depth(view)[0]
 
     def traced(self, view: View) -> jax.Array:
         """`rgb` for use inside a compiled program, poses included: uint8 [B, H, W, 3]."""
@@ -85,9 +85,6 @@ class Renderer:
 
         With several samples per pixel the depth is that of each pixel's upper left one.
         """
-        return self._draw(view)
-
-    def _draw(self, view: View) -> tuple[np.ndarray, np.ndarray]:
         count = len(view.qpos)
         rgb = np.empty((count, self.height, self.width, 3), np.uint8)
         depth = np.empty((count, self.height, self.width), np.float32)
