@@ -1,9 +1,7 @@
-"""`jaxcam.rays` stands alone; errors are told apart by exit code and shown without a traceback."""
+"""`jaxcam.rays` stands alone."""
 
 import subprocess
 import sys
-
-from jaxcam import errors
 
 HEAVY = "flax optax orbax mujoco warp cv2 robosuite torch sapien h5py scipy matplotlib rich"
 
@@ -26,14 +24,3 @@ def test_rays_load_only_jax_and_numpy():
 def test_the_package_itself_loads_nothing():
     done = run("import sys, jaxcam; print(jaxcam.__version__, 'jax' in sys.modules)")
     assert done.stdout.split()[1] == "False", done.stderr
-
-
-def test_closest_names():
-    known = ["lift", "can", "square"]
-    assert errors.closest("Lifft", known) == ", did you mean 'lift'? Known: lift, can, square"
-    assert errors.closest("xyzzy", known) == ". Known: lift, can, square"
-
-
-def test_value_errors_can_be_caught_as_such():
-    for kind in (errors.ConfigError, errors.CameraError, errors.DatasetError):
-        assert issubclass(kind, ValueError)
