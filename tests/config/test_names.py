@@ -6,7 +6,6 @@ from places import REPO
 
 from jaxcam.config.names import (
     ActionSpace,
-    Conditioning,
     PolicyName,
     PresetName,
     SceneName,
@@ -21,11 +20,9 @@ def test_tasks_are_the_files_of_the_tasks():
     assert list(get_args(TaskName)) == files
 
 
-def test_policies_presets_and_conditionings_are_those_of_the_models():
+def test_policies_and_presets_are_those_of_the_models():
     from jaxcam.models import FAMILIES
-    from jaxcam.models.fusion import CONDITIONINGS
 
-    assert get_args(Conditioning) == tuple(CONDITIONINGS)
     assert set(get_args(PolicyName)) == set(FAMILIES)
     assert {(kind, name) for kind, f in FAMILIES.items() for name in f.presets} == set(PRESETS)
     assert {name for _, name in PRESETS} | {"auto"} == set(get_args(PresetName))
