@@ -161,7 +161,7 @@ def data_mesh(samples: int, *, everywhere: bool = True) -> Mesh:
 
 
 def replicated(mesh: Mesh) -> NamedSharding:
-    """Of arrays that every device has whole."""
+    """The sharding of arrays that every device holds in full."""
     return NamedSharding(mesh, PartitionSpec())
 
 

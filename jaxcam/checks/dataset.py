@@ -40,7 +40,7 @@ GRIPPER_TURNED = np.array([1, 1, 1, 1, 1, 1, -1])
 
 
 def read(path: Path) -> tuple[Demos | None, list[Finding]]:
-    """Reads a file; all that is wrong with its demonstrations, if it cannot be used."""
+    """Reads a file; if it cannot be used, says all that is wrong with its demonstrations."""
     try:
         demos = read_demos(path)
     except DatasetError as error:

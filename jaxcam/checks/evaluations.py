@@ -56,7 +56,7 @@ def _several_outcomes(rows: Sequence[Row]) -> Iterator[Finding]:
 
 
 def _rollout(row: Row) -> tuple[Any, ...]:
-    """What tells a row's rollout from others of its run."""
+    """The fields that identify a row's rollout within its run."""
     return row.split, row.step, row.width, row.engine, row.ensemble, row.pair
 
 

@@ -59,7 +59,7 @@ def check_dataset(path: Path, count: int, console: Console | None = None) -> Rep
 
 
 def check_foreign(path: Path, count: int, console: Console | None = None) -> Report:
-    """Examines what becomes of somebody else's file when it is imported; nothing of that is kept.
+    """Examines a file of another project as it would be imported; the import is not kept.
 
     Args:
         path: Of the file.

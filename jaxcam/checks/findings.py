@@ -32,17 +32,17 @@ class Finding:
 
 
 def good(what: str, *, got: str, where: str = "") -> Finding:
-    """All is well with a thing."""
+    """A finding that nothing is wrong."""
     return Finding(what=what, mark="good", got=got, where=where)
 
 
 def note(what: str, *, got: str, expected: str = "", where: str = "", fix: str = "") -> Finding:
-    """Something of a thing should be known; the run or the dataset can be used."""
+    """A finding that one should know of; the run or the dataset can be used."""
     return Finding(what=what, mark="note", got=got, expected=expected, where=where, fix=fix)
 
 
 def bad(what: str, *, got: str, expected: str = "", where: str = "", fix: str = "") -> Finding:
-    """Something of a thing must be mended."""
+    """A finding that must be mended."""
     return Finding(what=what, mark="bad", got=got, expected=expected, where=where, fix=fix)
 
 
@@ -71,5 +71,5 @@ def show(findings: Sequence[Finding], console: Console) -> None:
 
 
 def named(finding: Finding) -> str:
-    """What a finding is about, and where."""
+    """The thing that a finding is about, and the place."""
     return f"{finding.what}, {finding.where}" if finding.where else finding.what

@@ -36,7 +36,7 @@ YEAR = 2025
 
 
 def check_env() -> Iterator[Finding]:
-    """What matters of this machine, one thing at a time; the last takes seconds."""
+    """Findings on this machine, one after the other; the last takes seconds."""
     names = ("jaxcam", "jax", "flax", "mujoco", "robosuite")
     versions = ", ".join(f"{name} {version(name)}" for name in names)
     yield good("package", got=f"{versions}, Python {platform.python_version()}")

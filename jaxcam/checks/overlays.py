@@ -37,7 +37,7 @@ class Moment(NamedTuple):
     """One picture of a dataset."""
 
     row: int
-    """Of the demonstration."""
+    """Number of the demonstration in the file."""
     t: int
     """Control step."""
     camera: int
@@ -45,7 +45,7 @@ class Moment(NamedTuple):
 
 
 def moments(demos: Demos, count: int) -> list[Moment]:
-    """Pictures of so many demonstrations, each at another time and from another camera."""
+    """Pictures of `count` demonstrations, each at another time and from another camera."""
     episodes = demos.episodes
     rows = chosen(len(episodes), count)
     return [
@@ -55,7 +55,7 @@ def moments(demos: Demos, count: int) -> list[Moment]:
 
 
 def chosen(total: int, count: int) -> np.ndarray:
-    """So many numbers below a total, evenly spread, the first and the last among them."""
+    """`count` numbers below `total`, evenly spread, the first and the last among them."""
     return np.unique(np.linspace(0, total - 1, min(count, total)).astype(int))
 
 

@@ -1,4 +1,4 @@
-"""What a check tells, and its page: one HTML file with everything inside."""
+"""A check's results, and their page: one HTML file with everything inside."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -20,7 +20,7 @@ from jaxcam.sim.task import Task
 
 @dataclass(frozen=True)
 class Report:
-    """All that a check has to tell."""
+    """The results of a check."""
 
     title: str
     subtitle: str

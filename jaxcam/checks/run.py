@@ -203,7 +203,7 @@ def _environment(folder: Path) -> Finding:
 
 
 def _what_next(config: TrainConfig, steps: list[int]) -> Finding:
-    """What the folder is good for."""
+    """What can be done with the folder: go on training, evaluate, or nothing."""
     what = "what it can do"
     if not steps:
         return note(what, got="be trained from the start; nothing to evaluate")

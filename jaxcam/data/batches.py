@@ -45,7 +45,7 @@ class Dataset:
     train: int
     """Number of training demonstrations; the rest are for validation."""
     fingerprint: str
-    """Of the demonstrations and the pictures."""
+    """Hash of the demonstrations and the pictures."""
 
     @property
     def lengths(self) -> np.ndarray:

@@ -33,7 +33,7 @@ class Agent:
 
     act: PolicyCall
     space: str
-    """Of its actions, see `jaxcam.sim.actions`."""
+    """Name of the space of its actions, see `jaxcam.sim.actions`."""
     execute: int | None = None
     """Steps of a chunk that are executed; the whole chunk when None. With ensembling, which needs
     it, the steps that are averaged."""
@@ -131,7 +131,7 @@ class _Sensed(NamedTuple):
 
 
 class _Carried(NamedTuple):
-    """What one turn leaves to the next."""
+    """What a turn carries on to the next one."""
 
     anchor: Array
     """The last target, which deltas add to."""

@@ -16,7 +16,7 @@ SimulatorName = Literal["mujoco", "sapien"]
 
 @dataclass(frozen=True)
 class Part:
-    """Something that is imported when it is first used."""
+    """A class or function of a simulator's modules, imported when it is first used."""
 
     module: str
     name: str
@@ -24,11 +24,11 @@ class Part:
     """Keyword arguments for every call."""
 
     def load(self) -> Any:
-        """The thing itself."""
+        """The class or function, imported if need be."""
         return getattr(import_module(self.module), self.name)
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        """Calls it."""
+        """Calls the class or function with `options` added."""
         return self.load()(*args, **{**self.options, **kwargs})
 
 

@@ -87,7 +87,7 @@ class Task(ABC):
         return _SuccessIn(self, scene)
 
     def rng(self, seed: int) -> np.random.Generator:
-        """Chance of episode `seed`'s expert."""
+        """Random numbers for the expert of episode `seed`."""
         return np.random.default_rng([seed, 2])
 
     def start(self, scene: World, seed: int) -> Start:

@@ -22,7 +22,7 @@ from jaxcam.training.state import TrainState, check_finite, init_state, make_opt
 
 
 class Trainer:
-    """What the runs of one training share.
+    """Trains runs that share everything but their seed.
 
     Args:
         config: Resolved settings of one of them; the others' differ in the seed.
@@ -85,7 +85,7 @@ class Trainer:
         return [run.state for run in trained]
 
     def _size(self) -> tuple[str, str]:
-        """What an update is, and what is smaller."""
+        """The size of an update in words, and the flags that make it smaller."""
         config = self.config
         return (
             f"An update of {config.batch} samples in {config.accumulate} parts, {config.precision}",

@@ -28,7 +28,7 @@ class SeedRun:
     seed: int
     records: Records
     state: TrainState
-    """As it was last handed out by the program that trains it."""
+    """The state at the last `SideBySide.hand_out`."""
 
     @property
     def step(self) -> int:
@@ -37,7 +37,7 @@ class SeedRun:
 
 
 class SideBySide:
-    """Some runs and the program that updates them all at once.
+    """Runs that one compiled program updates together.
 
     Args:
         runs: The runs; they stand at the same update.
@@ -76,7 +76,7 @@ class SideBySide:
 
     @property
     def seconds(self) -> float:
-        """Since the program was made."""
+        """Wall time since the program was made."""
         return time.perf_counter() - self._began
 
     def update(self, batch: Batch) -> None:
@@ -96,7 +96,7 @@ class SideBySide:
         return jax.tree.map(lambda *x: float(np.mean(np.concatenate(x))), *metrics)
 
     def forget(self) -> None:
-        """Let go of the metrics so far."""
+        """Start the means anew."""
         self._metrics.clear()
 
 

@@ -65,7 +65,7 @@ class TrainState:
 
 @dataclasses.dataclass(frozen=True)
 class Update:
-    """What an update is made of."""
+    """The parts of an update: loss, optimizer, moving average and augmentation."""
 
     loss: Loss
     """A policy's `loss`."""

@@ -40,7 +40,7 @@ class Weights:
     kind: NameMap | None
     """How they are laid out, if that is known."""
     sha256: str
-    """Of the file, for the record of a run."""
+    """Hash of the file, for the record of a run."""
 
 
 def read_weights(path: str | Path) -> Weights:

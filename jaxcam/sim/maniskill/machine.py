@@ -48,7 +48,7 @@ class Device(NamedTuple):
     kind: str
     """ManiSkill's `gpu` or `cpu`; empty if there is none."""
     name: str
-    """As the driver tells it, or what went wrong."""
+    """The driver's name of it, or what went wrong."""
 
     @classmethod
     def tried(cls, kind: str, code: str) -> Self:
@@ -124,7 +124,7 @@ def require() -> None:
     Raises:
         SimError: If not; the message says what is missing and how to get it.
     """
-    hint = "`python -m jaxcam.check --env` tells more. The MuJoCo tasks do not need it."
+    hint = "`python -m jaxcam.check --env` says more. The MuJoCo tasks do not need it."
     if sys.platform != "linux":
         raise SimError(f"The ManiSkill tasks run on Linux, this is {sys.platform}. {hint}")
     missing = missing_packages()

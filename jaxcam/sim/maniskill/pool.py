@@ -183,7 +183,7 @@ class Pool:
 
     @property
     def about(self) -> dict[str, float]:
-        """What a child tells of its world: see `Worker.hello`."""
+        """A child's description of its world: see `Worker.hello`."""
         if not self._hello:
             self._hello = self.each([(self.children(1)[0], ("hello",))])[0]
         return self._hello

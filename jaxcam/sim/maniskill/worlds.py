@@ -13,7 +13,7 @@ CONTROL_MODE = "pd_joint_pos"
 
 @dataclass(frozen=True)
 class Assignment:
-    """What the parent tells its child at the start."""
+    """What a child process is given to do, once, at its start."""
 
     env: str
     scene: str
@@ -71,7 +71,7 @@ class SeparateWorlds:
 
     @property
     def env(self) -> Any:
-        """An environment that tells what they are like."""
+        """An environment that describes them."""
         return self._worlds[0].env
 
     def grow(self, width: int) -> None:

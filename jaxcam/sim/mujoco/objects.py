@@ -33,7 +33,7 @@ class CanGhost:
 
     name: str
     scale: float
-    """Of the can's size."""
+    """Its size, as a multiple of the can's."""
     rgba: Colour
 
 
@@ -53,7 +53,7 @@ class Piece:
     size: tuple[float, ...]
     """Half-sizes (m) [3] of a box; radius and half-length (m) of the others."""
     place: Size
-    """Of its middle (m) from the compound's."""
+    """Its middle (m) [3], seen from the compound's."""
     density: float | None
     """(kg/m³); None for what is only seen."""
     role: Literal["all", "collision", "visual"] = "all"
@@ -66,7 +66,7 @@ class Compound:
 
     name: str
     half_size: Size
-    """Of a box around all of them (m)."""
+    """Half-size (m) [3] of a box around all of them."""
     pieces: tuple[Piece, ...]
     rgba: Colour
 
