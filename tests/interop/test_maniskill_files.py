@@ -9,7 +9,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from places import TESTS
+from places import HELPERS
 from running import exit_code
 
 from jaxcam.checks.examine import examine
@@ -42,7 +42,7 @@ def recorded(maniskill, tmp_path_factory):
     """A folder with what ManiSkill's own recorder wrote."""
     folder = tmp_path_factory.mktemp("recorded")
     cases = [f"{name}={told}" for name, told in CASES.items()]
-    script = TESTS / "maniskill_record.py"
+    script = HELPERS / "maniskill_record.py"
     ran = subprocess.run(
         [sys.executable, script, folder, *cases], capture_output=True, text=True, check=False
     )

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
-from places import TESTS
+from places import HELPERS
 from tiny_checkpoints import (
     CONFIG,
     DAMAGES,
@@ -270,7 +270,7 @@ def test_kill_while_saving(tmp_path):
     """)
     folder = tmp_path / "checkpoints"
     for delay in (0.01, 0.04):
-        command = [sys.executable, "-c", script, str(TESTS), str(folder)]
+        command = [sys.executable, "-c", script, str(HELPERS), str(folder)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
             for _ in range(len(checkpoint_steps(tmp_path)) + 3):
                 assert process.stdout.readline()

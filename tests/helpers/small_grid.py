@@ -3,9 +3,9 @@
 import importlib.util
 
 import pytest
-from places import REPO, TESTS
+from places import HELPERS, REPO
 
-FAKE = TESTS / "fake_jaxcam.py"
+FAKE = HELPERS / "fake_jaxcam.py"
 GRIDS = REPO / "grids"
 SMALL = """
 title: small
