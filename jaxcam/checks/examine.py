@@ -4,6 +4,7 @@ It looks and changes nothing. Its findings are shown in a table and on a page be
 checked; the exit code is 1 if something must be mended.
 """
 
+import os
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -78,7 +79,14 @@ def check_foreign(path: Path, count: int, console: Console | None = None) -> Rep
 
 
 def examine(path: Path, count: int, console: Console | None = None) -> Report:
-    """Examines what a path leads to; see `check_dataset`, `check_foreign`, `check_run`."""
+    """Examines what a path leads to; see `check_dataset`, `check_foreign`, `check_run`.
+
+    Raises:
+        ConfigError: It leads to a folder that is not a run's.
+        DatasetError: It leads to nothing.
+    """
+    if not os.path.lexists(path):
+        raise DatasetError(f"{path}: there is neither a dataset nor a run.")
     if path.is_dir():
         if not (path / "config.json").is_file():
             raise ConfigError(

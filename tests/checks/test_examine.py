@@ -57,7 +57,9 @@ def test_files_that_are_none(tmp_path, capsys):
     web.write_text("<!DOCTYPE html>")
     assert exit_code("check", web) == 1
     assert "not an HDF5 file" in capsys.readouterr().out
-    assert exit_code("check", tmp_path / "none.hdf5") == 1
+    assert exit_code("check", tmp_path / "none.hdf5") == 3
+    assert "neither a dataset nor a run" in capsys.readouterr().err
+    assert not list(tmp_path.glob("none*"))
     with pytest.raises(ConfigError, match=r"not a run folder.*no config\.json"):
         examine(tmp_path, 1)
 
