@@ -126,7 +126,8 @@ def check_rotations(episodes: Sequence[Demo], nominal: np.ndarray) -> Finding:
         fix = "One pose has two names, a turn apart, in eef_abs. Choose eef_delta."
         return note("rotations", got=got, expected="within half a turn", where=where, fix=fix)
     if stored:
-        got = f"rotation vectors jump by a turn in {len(stored)} of {len(episodes)}; {got}"
+        count = f"{len(stored)} of {len(episodes)} demonstrations"
+        got = f"rotation vectors jump by a turn in {count}; {got}"
         fix = "eef_abs and eef_delta do not jump; eef_delta_componentwise and --rotations world do."
         return note("rotations", got=got, where=some(stored), fix=fix)
     return good("rotations", got=got)

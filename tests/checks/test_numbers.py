@@ -80,7 +80,7 @@ def spin(first, last):
     [
         (0.1, 0.5, "good", "within 0.5 rad of a grip that points down"),
         (-1.0, 1.0, "good", "within 1 rad"),
-        (1.0, 2.0, "note", "jump by a turn in 8 of 8"),
+        (1.0, 2.0, "note", "jump by a turn in 6 of 6 demonstrations"),
         (2.0, 4.0, "note", "within 4 rad"),
     ],
 )
