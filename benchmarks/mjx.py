@@ -136,7 +136,7 @@ def replay(args: argparse.Namespace) -> None:
                 row[: demo.length] = demo_actions(demo, "eef_delta", scene)
                 row[demo.length :, -1] = demo.actions[-1, -1]
             anchor = np.asarray(measured("eef_delta", state, scene.arm), float)
-            chunk = Command(*decode("eef_delta", moves, anchor))
+            chunk = Command(*decode("eef_delta", moves, anchor, scene.nominal_grip))
             began = time.perf_counter()
             progress, _ = engine.run(
                 OPEN_LOOP, chunk, start, task.success_in(scene), moves.shape[1]

@@ -40,7 +40,7 @@ from jaxcam.runs.identity import resolve
 from jaxcam.runs.interrupts import interrupts
 from jaxcam.runs.rollouts import read_rows, rows_file
 from jaxcam.sim import make_task
-from jaxcam.sim.actions import action_dim
+from jaxcam.sim.actions import action_dim, space_of
 from jaxcam.sim.world import PROPRIO_DIM
 from jaxcam.training.checkpoint import checkpoint_steps
 from jaxcam.training.loggers import check_loggers
@@ -142,7 +142,8 @@ def training_data(configs: Sequence[TrainConfig], console: Console | None) -> Da
     seeds, obs_steps = [c.seed for c in configs], policy_settings(config, task.prompt).obs_steps
     wanted = samples.wanted(seeds, config.steps, config.batch, config.views, obs_steps)
     pictures = load_pictures(demos, config.resolution, console, wanted)
-    return make_dataset(demos, pictures, config.action_space, task.scene(config.scene))
+    space = space_of(config.action_space, config.rotations)
+    return make_dataset(demos, pictures, space, task.scene(config.scene))
 
 
 def policy_of(config: TrainConfig, stats: Stats | None = None) -> Policy:

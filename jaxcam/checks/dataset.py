@@ -17,6 +17,7 @@ from jaxcam.checks.numbers import (
     check_gripper,
     check_lengths,
     check_rate,
+    check_rotations,
 )
 from jaxcam.checks.overlays import chosen
 from jaxcam.console.progress import progress
@@ -75,6 +76,7 @@ def check_content(demos: Demos, scene: World) -> Iterator[Finding]:
     episodes = demos.episodes
     for check in (check_lengths, check_commands, check_gripper, check_constants, check_rate):
         yield check(episodes)
+    yield check_rotations(episodes, scene.nominal_grip)
 
 
 def check_physics(

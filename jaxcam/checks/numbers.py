@@ -8,6 +8,7 @@ from jaxcam.checks.findings import Finding, bad, good, note
 from jaxcam.checks.held_out import camera_numbers
 from jaxcam.console.words import some
 from jaxcam.data.demos import Demo, Demos
+from jaxcam.sim.actions import encode
 from jaxcam.sim.controllers import CONTROL_HZ
 
 SHORT = 10
@@ -16,6 +17,8 @@ STILL = 1e-6
 """Spread of a number over a dataset up to which it is constant."""
 LEAP = 0.1
 """Change (m) of the commanded position in a control step that no arm can follow."""
+TURN = 1.0
+"""Change (rad) of the commanded rotation in a control step that no arm can follow."""
 ASTRAY = 0.2
 """Distance (m) between a command and where the grip is next that no controller leaves."""
 COMMAND = ("x (m)", "y (m)", "z (m)", "turn x (rad)", "turn y (rad)", "turn z (rad)", "gripper")
@@ -95,6 +98,43 @@ def check_constants(episodes: Sequence[Demo]) -> Finding:
         return good("constant commands", got="none")
     fix = "Statistics have a floor, so nothing blows up; but a policy learns nothing of these."
     return note("constant commands", got=some(constant), expected="none", fix=fix)
+
+
+def check_rotations(episodes: Sequence[Demo], nominal: np.ndarray) -> Finding:
+    """Whether rotations as numbers go as steadily as the rotations themselves.
+
+    Args:
+        episodes: The demonstrations.
+        nominal: What a policy of `eef_abs` counts rotations from (`World.nominal_grip`).
+    """
+    poses = [d.actions[:, :-1] for d in episodes]
+    learned = [encode("eef_abs", p, p[:, 0], p[0], nominal)[:, 3:6] for p in poses]
+    turns = [encode("eef_delta", p, p[:, 0], p[0], nominal)[:, 3:6] for p in poses]
+    if names := _over([_longest(x) for x in turns], TURN):
+        return note(
+            "rotations",
+            got=f"commands turn by up to {max(map(_longest, turns)):.2g} rad in a control step",
+            expected=f"at most {TURN:g} rad",
+            where=some(names),
+            fix="No arm can follow.",
+        )
+    farthest = max(map(_longest, learned))
+    stored = _over([_longest(np.diff(p[:, 3:], axis=0)) for p in poses], np.pi)
+    got = f"as eef_abs has them within {farthest:.2g} rad of a grip that points down"
+    if farthest > np.pi:
+        where = some(_over(map(_longest, learned), np.pi))
+        fix = "One pose has two names, a turn apart, in eef_abs. Choose eef_delta."
+        return note("rotations", got=got, expected="within half a turn", where=where, fix=fix)
+    if stored:
+        count = f"{len(stored)} of {len(episodes)} demonstrations"
+        got = f"rotation vectors jump by a turn in {count}; {got}"
+        fix = "eef_abs and eef_delta do not jump; eef_delta_componentwise and --rotations world do."
+        return note("rotations", got=got, where=some(stored), fix=fix)
+    return good("rotations", got=got)
+
+
+def _longest(vectors: np.ndarray) -> float:
+    return float(np.linalg.norm(vectors, axis=-1).max(initial=0.0))
 
 
 def check_rate(episodes: Sequence[Demo]) -> Finding:

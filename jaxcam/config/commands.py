@@ -5,13 +5,14 @@ from typing import Annotated
 
 import tyro
 
-from jaxcam.config.fields import check_least, check_types
+from jaxcam.config.fields import check_least, check_rotations, check_types
 from jaxcam.config.flags import default
 from jaxcam.config.names import (
     ActionSpace,
     Cluster,
     EngineChoice,
     ProtocolName,
+    Rotations,
     SceneName,
     Split,
     TaskName,
@@ -154,8 +155,12 @@ class WeightsConfig:
     """In which scene."""
     action_space: ActionSpace = "eef_delta"
     """What its actions mean."""
+    rotations: Rotations = "nominal"
+    """What the rotation vectors of eef_abs are counted from; world for what learned from a dataset
+    that version 0.1.0 exported."""
 
     def __post_init__(self) -> None:
         check_types(self)
+        check_rotations(self.action_space, self.rotations)
         if self.export and self.run_dir:
             raise ConfigError("Give --export or --run-dir, not both.")

@@ -32,7 +32,8 @@ def from_json(kind: type[C], text: str) -> C:
 
     Args:
         kind: Config class.
-        text: What `to_json` wrote. Settings it lacks, because it is older, take their defaults.
+        text: What `to_json` wrote. Settings it lacks, because it is older, take their defaults, or
+            what the class says that they were (`completed`).
 
     Raises:
         ConfigError: The text is not JSON, or a name or value in it is not this class's.
@@ -44,6 +45,8 @@ def from_json(kind: type[C], text: str) -> C:
     if not isinstance(values, dict):
         raise ConfigError(f"The configuration is a JSON {type(values).__name__}, not an object.")
     values = cast("dict[str, Any]", values)
+    completed = getattr(kind, "completed", None)
+    values = completed(values) if completed else values
     known = [f.name for f in dataclasses.fields(kind)]
     for name in values:
         if name not in known:
@@ -142,6 +145,12 @@ def check_least(config: Settings, least: float, fields: str, *, or_equal: bool =
         if not math.isfinite(value) or value < least or (value == least and not or_equal):
             bound = "at least" if or_equal else "finite and more than"
             raise ConfigError(f"{field} must be {bound} {least}, got {value}.")
+
+
+def check_rotations(action_space: str, rotations: str) -> None:
+    """Refuses rotations that the actions do not have."""
+    if rotations != "nominal" and action_space != "eef_abs":
+        raise ConfigError(f"rotations is for action_space eef_abs, not {action_space}.")
 
 
 def check_window(n: int | None, m: int | None) -> None:

@@ -12,6 +12,7 @@ Conditioning = Literal["none", "token", "early", "late", "keypoints"]
 ActionSpace = Literal[
     "eef_delta", "eef_abs", "joint_delta", "joint_abs", "eef_delta_componentwise"
 ]  # fmt: skip
+Rotations = Literal["nominal", "world"]
 CommandSource = Literal["commands", "states"]
 ScheduleName = Literal["constant", "cosine"]
 OptimizerName = Literal["adamw", "adam"]

@@ -5,11 +5,17 @@ policy.
 """
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
-from jaxcam.config.fields import check_least, check_types, check_window, overrides
+from jaxcam.config.fields import (
+    check_least,
+    check_rotations,
+    check_types,
+    check_window,
+    overrides,
+)
 from jaxcam.config.flags import PRESET, FromPreset, default
 from jaxcam.config.names import (
     ActionSpace,
@@ -20,6 +26,7 @@ from jaxcam.config.names import (
     PolicyName,
     Precision,
     PresetName,
+    Rotations,
     SceneName,
     ScheduleName,
     Stem,
@@ -47,6 +54,9 @@ class TrainConfig:
     """How the policy is told where its cameras are."""
     action_space: ActionSpace = "eef_delta"
     """What the policy's actions mean."""
+    rotations: Rotations = "nominal"
+    """What the rotation vectors of eef_abs are counted from: a grip that points down, where they
+    are small, or the world's axes, as until version 0.1.0, where they jump."""
     views: Annotated[FromPreset[int], default("the task's")] = PRESET
     """Cameras the policy sees at once."""
     seed: int = 0
@@ -140,8 +150,15 @@ class TrainConfig:
     """Be one of several processes of one run: on Slurm, Open MPI or Kubernetes they find each
     other; elsewhere JAX_COORDINATOR_ADDRESS, JAX_NUM_PROCESSES and JAX_PROCESS_ID are read."""
 
+    @classmethod
+    def completed(cls, values: dict[str, Any]) -> dict[str, Any]:
+        """Settings by name with those that older files lack, where that is not the default now."""
+        old = values.get("action_space") == "eef_abs" and "rotations" not in values
+        return values | {"rotations": "world"} if old else values
+
     def __post_init__(self) -> None:
         check_types(self)
+        check_rotations(self.action_space, self.rotations)
         check_least(self, 1, "views steps batch n demos pairs keep log_every eval_every")
         check_least(self, 1, "save_every steps_per_call accumulate")
         check_least(self, 0, "seed warmup weight_decay m validation ema ema_power clip_norm")

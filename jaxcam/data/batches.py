@@ -23,6 +23,8 @@ from jaxcam.sim.world import World
 
 PREFETCH = 4
 """Calls' worth of batches made ready ahead by a thread."""
+_IN_FINGERPRINTS = {"eef_abs": "eef_abs_nominal", "eef_abs_world": "eef_abs"}
+"""Spaces whose name in fingerprints is another: `eef_abs` is that of version 0.1.0 there."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +143,7 @@ def make_dataset(
         proprio=np.stack(proprio).astype(np.float32),
         windows=[d.cameras for d in demos.episodes],
         train=len(demos.train),
-        fingerprint=f"{demos.fingerprint}-{pixels}px-{space}",
+        fingerprint=f"{demos.fingerprint}-{pixels}px-{_IN_FINGERPRINTS.get(space, space)}",
     )
 
 
@@ -154,10 +156,11 @@ def demo_actions(demo: Demo, space: str, scene: World) -> np.ndarray:
     gripper = demo.actions[:, -1]
     if is_joint(space):
         qpos, qvel = demo.qpos[:, scene.arm], demo.qvel[:, scene.arm]
-        return encode(space, qpos[1:] + scene.joint_lag * qvel[1:], gripper, qpos[0])
+        targets = qpos[1:] + scene.joint_lag * qvel[1:]
+        return encode(space, targets, gripper, qpos[0], scene.nominal_grip)
     grip = demo.world_from_grip()[0]
     start = np.concatenate([grip[:3, 3], rotvec_from_matrix(grip[:3, :3])])
-    return encode(space, demo.actions[:, :-1], gripper, start)
+    return encode(space, demo.actions[:, :-1], gripper, start, scene.nominal_grip)
 
 
 def _keyframes(demo: Demo, scene: World) -> np.ndarray:

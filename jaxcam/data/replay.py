@@ -14,7 +14,7 @@ from jaxcam.console.progress import progress
 from jaxcam.data.batches import demo_actions
 from jaxcam.data.demos import Demo, Demos, starts_of
 from jaxcam.sim import make_engine
-from jaxcam.sim.actions import ACTION_SPACES, controller_of, decode, measured
+from jaxcam.sim.actions import ACTION_SPACES, controller_of, decode, is_absolute, measured
 from jaxcam.sim.engine import Engine, OpenLoop
 from jaxcam.sim.task import Task
 from jaxcam.sim.types import Command
@@ -55,7 +55,7 @@ def play(
     lengths = np.array([d.length for d in demos]) + SETTLE
     actions = [_held(demo_actions(d, space, scene), space, max(lengths)) for d in demos]
     anchor = measured(space, engine.reset(start), scene.arm)
-    command = Command(*decode(space, np.stack(actions), anchor))
+    command = Command(*decode(space, np.stack(actions), anchor, scene.nominal_grip))
     progress, way = engine.run(OPEN_LOOP, command, start, task.success_in(scene), max(lengths))
     success = np.asarray(progress.success) & (np.asarray(progress.steps) <= lengths)
     return success, np.asarray(way)
@@ -64,7 +64,7 @@ def play(
 def _held(actions: np.ndarray, space: str, length: int) -> np.ndarray:
     """Actions [length, A], float32 as policies learn them, that stay at the last target."""
     last = actions[-1].copy()
-    if not space.endswith("abs"):
+    if not is_absolute(space):
         last[:-1] = 0
     held = np.concatenate([actions, np.tile(last, (length - len(actions), 1))])
     return held.astype(np.float32)

@@ -18,7 +18,7 @@ from jaxcam.rays import Camera, spherical
 from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.results.rows import Row
 from jaxcam.sim import engine_name, make_engine, make_painter, make_task
-from jaxcam.sim.actions import controller_of
+from jaxcam.sim.actions import controller_of, space_of
 from jaxcam.sim.rollout import Agent, Episodes, Rollouts, rollout
 from jaxcam.sim.types import View
 
@@ -99,7 +99,7 @@ class Evaluator:
         ahead = spec.chunk - spec.obs_steps + 1  # steps that a chunk reaches into the future
         agent = Agent(
             self._acting(candidate.policy, candidate.params),
-            config.action_space,
+            space_of(config.action_space, config.rotations),
             execute=ahead if self.ensemble else candidate.policy.execute,
             obs_steps=spec.obs_steps,
             ensembling=self.ensemble,

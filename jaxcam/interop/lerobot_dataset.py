@@ -26,7 +26,7 @@ from jaxcam.errors import DatasetError
 from jaxcam.files.locks import exclusive
 from jaxcam.files.paths import home
 from jaxcam.interop.lerobot_format import VERSION, Writer, feature, video_feature, write_json
-from jaxcam.sim.actions import is_joint
+from jaxcam.sim.actions import is_absolute, is_joint
 from jaxcam.sim.controllers import CONTROL_HZ
 from jaxcam.sim.world import World
 
@@ -112,16 +112,32 @@ def _about(config: LerobotConfig, demos: Demos, data: Dataset, scene: World) -> 
         "fovy_deg": header.fovy_deg,
         "image_size": [config.resolution, config.resolution],
         "world_from_base": scene.world_from_base.tolist(),
+        "nominal_grip": scene.nominal_grip.tolist(),
         "conventions": {
             "camera": "OpenCV axes: x right, y down, z forward; pixel (i, j) has its centre at "
             "(j + 0.5, i + 0.5)",
             "base_from_camera": "p_base = base_from_camera @ p_camera; metres, robot's base",
-            "poses in actions": "grip site in the world (m) and rotation vector (rad)",
+            "actions": _meaning(config.action_space),
             "gripper": "positive closes",
         },
         "source": {"fingerprint": demos.fingerprint, "versions": header.versions},
         "jaxcam": version("jaxcam"),
     }
+
+
+def _meaning(space: str) -> str:
+    """What the numbers of an action are, in words."""
+    if is_joint(space):
+        return "joint angles (rad)" if is_absolute(space) else "what joint angles move by (rad)"
+    if is_absolute(space):
+        return (
+            "grip site in the world (m) and rotation vector r (rad) about the world's axes, "
+            "R_world = exp(r) @ nominal_grip"
+        )
+    return (
+        "what the commanded grip pose moves by: the site in the world (m) and rotation vector r "
+        "(rad) about the world's axes, R_next = exp(r) @ R"
+    )
 
 
 def _features(config: LerobotConfig, data: Dataset, views: list[str]) -> dict[str, Any]:

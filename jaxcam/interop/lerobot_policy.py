@@ -49,6 +49,8 @@ from jaxcam.training.state import init_state, make_optimizer
 VERSION = "0.4.4"
 """LeRobot's version whose layout this is."""
 STATISTICS = ("mean", "std", "min", "max")
+ABOUT = ("task", "scene", "action_space", "rotations")
+"""The settings that an export of ours tells beside LeRobot's, in `jaxcam.json`."""
 
 
 def export_policy(inputs: PolicyInputs, out: Path) -> None:
@@ -77,7 +79,7 @@ def export_policy(inputs: PolicyInputs, out: Path) -> None:
         _save(part / "model.safetensors", arrays)
         _write(part / "config.json", config)
         _write_pipelines(part, config, scales)
-        about = {k: getattr(inputs.config, k) for k in ("task", "scene", "action_space")}
+        about = {k: getattr(inputs.config, k) for k in ABOUT}
         _write(part / "jaxcam.json", about | {"step": inputs.step})
         os.replace(part, out)
     except OSError as error:
@@ -223,6 +225,17 @@ def _check_fit(folder: Path, config: TrainConfig, spec: PolicySpec) -> None:
             raise CheckpointError(
                 f"{folder} has {what} {found}, but {config.task} in {config.action_space} has "
                 f"{wanted}."
+            )
+    if not (folder / "jaxcam.json").is_file():
+        return
+    about = TrainConfig.completed(_read_json(folder / "jaxcam.json"))
+    for name in ("action_space", "rotations"):
+        found, wanted = about.get(name, getattr(config, name)), getattr(config, name)
+        if found != wanted:
+            flag = name.replace("_", "-")
+            raise CheckpointError(
+                f"{folder} has {name} {found}, as its jaxcam.json says, not {wanted}: "
+                f"give --{flag} {found}."
             )
 
 

@@ -16,8 +16,8 @@ def main(config: WeightsConfig, console: Console) -> None:
         export_policy(load_policy_inputs(config.source, config.step), absolute(config.export))
         print(f"{config.export}: a LeRobot {VERSION} checkpoint.")
     elif config.run_dir:
-        names = {k: getattr(config, k) for k in ("task", "scene", "action_space", "run_dir")}
-        adopt(absolute(config.source), TrainConfig(**names))
+        names = ("task", "scene", "action_space", "rotations", "run_dir")
+        adopt(absolute(config.source), TrainConfig(**{k: getattr(config, k) for k in names}))
         print(f"{config.run_dir}: a run. Next: python -m jaxcam.evaluate {config.run_dir}")
     else:
         show(read_weights(config.source))

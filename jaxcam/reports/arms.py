@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.files.jsonl import append_jsonl, read_jsonl, write_atomically
 from jaxcam.files.paths import absolute
@@ -237,7 +238,7 @@ def _read_results(folder: Path, split: str) -> list[Run]:
         lines.setdefault(line["run"], []).append((where, line))
     runs = []
     for record in json.loads((folder / "runs.json").read_text("utf-8")):
-        settings, seed = record["settings"], record["seed"]
+        settings, seed = TrainConfig.completed(record["settings"]), record["seed"]
         shared = {name: settings.get(name) for name in _SHARED}
         shared |= {"run": record["name"], "seed": seed}
         # Where a run was evaluated in several ways, the settings list them all.

@@ -24,6 +24,8 @@ def context(arm: Arm, *without: str) -> str:
     """The settings of an arm but some, to find the arms that differ in these alone."""
     if "conditioning" in without:
         without = (*without, "stem")  # says how one way of conditioning is built
+    if "action_space" in without:
+        without = (*without, "rotations")  # says how one action space writes them
     kept = {k: v for k, v in arm.settings.items() if k not in without}
     return json.dumps(kept, sort_keys=True)
 

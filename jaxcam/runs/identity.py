@@ -129,6 +129,8 @@ def identity(config: TrainConfig) -> Settings:
     """
     values = {k: v for k, v in asdict(config).items() if k not in _NO_IDENTITY}
     values["model"] = list(config.model)
+    if config.action_space != "eef_abs":
+        del values["rotations"]  # they are none of its actions'
     values["dataset"] = Path(config.dataset).stem
     values["weights"] = Path(config.weights).stem
     return values
@@ -152,7 +154,8 @@ def changes(settings: Settings) -> Settings:
 @functools.lru_cache
 def _usual(*named: str, steps: int | None = None) -> Settings:
     config = TrainConfig(**dict(zip(_NAMED, named, strict=True)), steps=steps)  # pyright: ignore
-    return identity(resolve(config, accelerator=False)) | USUAL_WAY
+    usual = identity(resolve(config, accelerator=False)) | USUAL_WAY
+    return usual | {"rotations": TrainConfig.rotations}
 
 
 def plain(value: Any) -> str:

@@ -6,10 +6,18 @@ that were commanded one after the other, the first against what was measured at 
 time deltas are accumulated from there. Rotations compose on SO(3): R_next = exp(delta) R, axes of
 the base. `eef_delta_componentwise` subtracts and adds rotation vectors number by number, as the
 authors' code does; near half a turn its deltas jump by up to a whole turn.
+
+A gripper that points down is half a turn from the world's axes, just where rotation vectors jump.
+So `eef_abs` counts them from a nominal grip, which is the world's (`World.nominal_grip`): R =
+exp(r) R_nominal, r without jumps along a demonstration. `eef_abs_world` is what version 0.1.0
+called `eef_abs`: rotation vectors from the world's axes, jumps included. Its runs keep it.
 """
+
+import itertools
 
 import numpy as np
 
+from jaxcam.config.names import ActionSpace, Rotations
 from jaxcam.rays.rotations import (
     Array,
     array_namespace,
@@ -21,6 +29,21 @@ from jaxcam.sim.types import ControllerName, State
 
 ACTION_SPACES = ("eef_delta", "eef_abs", "joint_delta", "joint_abs")
 """The paper's four; the authors' component-wise differencing is a fifth, to reproduce them."""
+
+
+def space_of(name: ActionSpace, rotations: Rotations) -> str:
+    """The space that a run's settings mean.
+
+    Args:
+        name: Its `action_space`.
+        rotations: Its `rotations`.
+    """
+    return "eef_abs_world" if (name, rotations) == ("eef_abs", "world") else name
+
+
+def is_absolute(space: str) -> bool:
+    """Whether actions are targets themselves, rather than what they move by."""
+    return space in ("eef_abs", "eef_abs_world", "joint_abs")
 
 
 def is_joint(space: str) -> bool:
@@ -46,7 +69,9 @@ def measured(space: str, state: State, arm: np.ndarray) -> Array:
     return xp.concatenate([state.grip_position, rotvec_from_matrix(state.grip_rotation)], -1)
 
 
-def encode(space: str, targets: np.ndarray, gripper: np.ndarray, start: np.ndarray) -> np.ndarray:
+def encode(
+    space: str, targets: np.ndarray, gripper: np.ndarray, start: np.ndarray, nominal: np.ndarray
+) -> np.ndarray:
     """Turns a demonstration's absolute targets into actions.
 
     Args:
@@ -54,11 +79,15 @@ def encode(space: str, targets: np.ndarray, gripper: np.ndarray, start: np.ndarr
         targets: Grip poses (m, rad; world) [T, 6] or joint angles (rad) [T, 7].
         gripper: Signs [T].
         start: What was measured before the first target [6] or [7].
+        nominal: Axes in the world of the grip that `eef_abs` counts rotations from [3, 3].
 
     Returns:
         Actions [T, 7] or [T, 8].
     """
-    if space.endswith("abs"):
+    if space == "eef_abs":
+        turned = rotvec_from_matrix(matrix_from_rotvec(targets[:, 3:]) @ nominal.T)
+        moves = np.concatenate([targets[:, :3], unwrapped(turned)], -1)
+    elif is_absolute(space):
         moves = targets
     else:
         before = np.concatenate([start[None], targets[:-1]])
@@ -70,13 +99,29 @@ def encode(space: str, targets: np.ndarray, gripper: np.ndarray, start: np.ndarr
     return np.concatenate([moves, gripper[:, None]], -1)
 
 
-def decode(space: str, actions: Array, anchor: Array) -> tuple[Array, Array]:
+def unwrapped(rotvecs: np.ndarray) -> np.ndarray:
+    """The same rotations by vectors (rad) [T, 3] that do not jump from one to the next.
+
+    The first stays as it is; a later one is longer than half a turn where the way leads there.
+    """
+    if (np.linalg.norm(np.diff(rotvecs, axis=0), axis=-1) <= np.pi).all():
+        return rotvecs
+    smooth = rotvecs.copy()
+    for before, now in itertools.pairwise(smooth):
+        angle = np.linalg.norm(now)
+        along = now / angle if angle > 1e-9 else before / max(np.linalg.norm(before), 1e-9)
+        now += 2 * np.pi * np.round((before @ along - angle) / (2 * np.pi)) * along
+    return smooth
+
+
+def decode(space: str, actions: Array, anchor: Array, nominal: Array) -> tuple[Array, Array]:
     """Turns a batch of action chunks into absolute targets, in the namespace of `anchor`.
 
     Args:
         space: Of the actions.
         actions: Chunks [B, T, 7] or [B, T, 8].
         anchor: The last target commanded, at the start what was measured [B, 6] or [B, 7].
+        nominal: Axes in the world of the grip that `eef_abs` counts rotations from [3, 3].
 
     Returns:
         Targets [B, T, 6] or [B, T, 7], and gripper signs [B, T]. The last target is the next
@@ -85,7 +130,10 @@ def decode(space: str, actions: Array, anchor: Array) -> tuple[Array, Array]:
     xp = array_namespace(anchor)
     actions = xp.asarray(actions, anchor.dtype)
     moves, gripper = actions[..., :-1], actions[..., -1]
-    if space.endswith("abs"):
+    if space == "eef_abs":
+        rotations = matrix_from_rotvec(moves[..., 3:]) @ xp.asarray(nominal, anchor.dtype)
+        return xp.concatenate([moves[..., :3], rotvec_from_matrix(rotations)], -1), gripper
+    if is_absolute(space):
         return moves, gripper
     targets = anchor[:, None] + xp.cumsum(moves, 1)
     if space == "eef_delta":

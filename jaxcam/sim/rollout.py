@@ -182,7 +182,8 @@ class _PolicyTurn:
         # A world that is done sees black: its chunk is not used.
         progress = progress._replace(alive=progress.alive & (is_finite | ~active))
         chunk = xp.where(is_finite[:, None, None], chunk, 0)
-        targets, gripper = decode(self._space, chunk, carried.anchor)
+        nominal = self._world.nominal_grip
+        targets, gripper = decode(self._space, chunk, carried.anchor, nominal)
         mean = carried.mean
         if self._ensembling:
             numbers = averageable(self._space, targets, gripper)

@@ -25,6 +25,8 @@ class World(ABC):
     """Height of the table's surface (m)."""
     table_middle: ClassVar[float]
     """Height (m) of the origin of the table that is seen, in `Start.fixtures`."""
+    base_from_grip: ClassVar[np.ndarray]
+    """Axes [3, 3] in the base of a grip that points down as at `home`, to within 0.2 rad."""
 
     name: SceneName
     nq: int
@@ -44,6 +46,11 @@ class World(ABC):
     joint_lag: float
     """Time (s) by which joints that move steadily trail behind the targets of
     `joint_position`."""
+
+    @property
+    def nominal_grip(self) -> np.ndarray:
+        """Axes [3, 3] in the world of the grip that absolute rotations are counted from."""
+        return self.world_from_base[:3, :3] @ self.base_from_grip
 
     @abstractmethod
     def qpos_of(self, body: str) -> int:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from spoilt import change_all, findings_in, put, spoil, unsealed
 
 
@@ -45,6 +46,10 @@ CASES = {
         lambda f: change_all(f, "states", lambda s: s * ([2] + [1] * (s.shape[1] - 1))),
         "rate", "bad", "0.1 to 0.1 s apart",
     ),
+    "rotations that leap": (
+        lambda f: f["data/demo_3/actions"].__setitem__((20, slice(3, 6)), [0.1, 0.2, 0.3]),
+        "rotations", "note", "rad in a control step",
+    ),
     "a short one": (
         lambda f: [
             put(f, f"data/demo_1/{name}", f[f"data/demo_1/{name}"][: 6 + (name != "actions")])
@@ -56,6 +61,34 @@ CASES = {
         "lengths", "note", "6 to ",
     ),
 }  # fmt: skip
+
+
+def spin(first, last):
+    """Rotations of a grip that points down and turns between two yaws."""
+
+    def change(actions):
+        yaw = np.linspace(first, last, len(actions))
+        down = Rotation.from_matrix([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
+        turned = Rotation.from_euler("z", yaw[:, None]) * down
+        return np.hstack([actions[:, :3], turned.as_rotvec(), actions[:, 6:]])
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "mark", "words"),
+    [
+        (0.1, 0.5, "good", "within 0.5 rad of a grip that points down"),
+        (-1.0, 1.0, "good", "within 1 rad"),
+        (1.0, 2.0, "note", "jump by a turn in 6 of 6 demonstrations"),
+        (2.0, 4.0, "note", "within 4 rad"),
+    ],
+)
+def test_jumps_of_rotations_are_found(copy, first, last, mark, words):
+    spoil(copy, lambda f: change_all(f, "actions", spin(first, last)))
+    finding = findings_in(copy)["rotations"]
+    assert finding.mark == mark, finding
+    assert words in finding.got
 
 
 @pytest.mark.parametrize("case", CASES)

@@ -142,6 +142,17 @@ def test_action_spaces_differ_in_actions_alone(space, demos, pictures, scene, da
     assert (other.fingerprint == dataset.fingerprint) == (space == "eef_delta")
 
 
+def test_old_runs_find_their_data(demos, pictures, scene):
+    """Version 0.1.0 wrote eef_abs for what is eef_abs_world now; the new one is other data."""
+    prints = {
+        space: make_dataset(demos, pictures, space, scene).fingerprint
+        for space in ("eef_abs", "eef_abs_world", "joint_abs")
+    }
+    assert prints["eef_abs_world"].endswith("px-eef_abs")
+    assert prints["joint_abs"].endswith("px-joint_abs")
+    assert prints["eef_abs"].endswith("px-eef_abs_nominal")
+
+
 def test_batches_do_not_depend_on_where_reading_starts(dataset):
     sizes = {"views": 2, "chunk": CHUNK}
     whole = dict(stacked_batches(dataset, 5, 0, 12, 2, 3, **sizes))

@@ -1,5 +1,6 @@
 """The evaluator itself, on Lift: what its rows say, what its videos and pictures show."""
 
+import copy
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -68,6 +69,27 @@ def test_actions_that_are_no_numbers_end_in_an_error(evaluator, candidate):
     broken = replace(candidate, params={"move": jnp.float32(np.nan)})
     rows, _ = evaluator.run(broken, "test", [0])
     assert [(row.status, row.success) for row in rows] == [("error", False)]
+
+
+@pytest.mark.parametrize(
+    ("rotations", "space"), [("nominal", "eef_abs"), ("world", "eef_abs_world")]
+)
+def test_actions_are_read_as_the_run_learned_them(
+    evaluator, candidate, monkeypatch, rotations, space
+):
+    """A run of version 0.1.0 has `rotations` world."""
+    agents = []
+
+    def stop(agent, *rest):
+        agents.append(agent)
+        raise StopIteration
+
+    monkeypatch.setattr("jaxcam.evaluation.evaluator.rollout", stop)
+    other = copy.copy(evaluator)
+    other.config = replace(evaluator.config, action_space="eef_abs", rotations=rotations)
+    with pytest.raises(StopIteration):
+        other.run(candidate, "test", [0])
+    assert [agent.space for agent in agents] == [space]
 
 
 def test_the_settings_of_an_evaluation_come_before_those_of_the_run(evaluator):

@@ -11,9 +11,10 @@ own and this check is run by hand; last with LeRobot 0.4.4 (Python 3.11) and 0.6
     lerobot-env/bin/python tests/golden/check_lerobot.py out \
         data/lift-randomized-n3m1-6+2-seed0.hdf5 data/frames/lift-*-96px-*.npy
 
-It needs the action space eef_abs, whose actions are the file's commands as they are. Every row is
-compared, and of every episode the frames at its ends and in its middle; chunks of actions and a
-batch of a DataLoader are read as training does. It prints what it found or stops.
+It needs the action space eef_abs, whose actions are the file's commands, with rotations counted
+from another grip (`nominal_grip` of meta/jaxcam.json). Every row is compared, and of every episode
+the frames at its ends and in its middle; chunks of actions and a batch of a DataLoader are read as
+training does. It prints what it found or stops.
 """
 
 import argparse
@@ -37,6 +38,17 @@ def psnr(a: np.ndarray, b: np.ndarray) -> float:
     return 10 * np.log10(255**2 / np.mean((a.astype(float) - b.astype(float)) ** 2))
 
 
+def turn(rotvec: np.ndarray) -> np.ndarray:
+    """The matrix of a rotation vector, as a power series."""
+    x, y, z = rotvec.astype(float)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    total, term = np.eye(3), np.eye(3)
+    for k in range(1, 40):
+        term = term @ cross / k
+        total = total + term
+    return total
+
+
 def check_frames(data: LeRobotDataset, file: h5py.File, pictures: np.ndarray, about: dict) -> float:
     """Compares rows and frames of every training demonstration; the least likeness."""
     base_from_world = np.linalg.inv(np.array(about["world_from_base"]))
@@ -49,7 +61,10 @@ def check_frames(data: LeRobotDataset, file: h5py.File, pictures: np.ndarray, ab
             is_shown = t in (0, length // 2, length - 1)
             item = data[row + t] if is_shown else data.hf_dataset[row + t]
             assert (int(item["episode_index"]), int(item["frame_index"])) == (e, t)
-            np.testing.assert_allclose(item["action"], actions[t], atol=1e-6)
+            action = item["action"].numpy()
+            np.testing.assert_allclose(action[[0, 1, 2, 6]], actions[t][[0, 1, 2, 6]], atol=1e-6)
+            turned = turn(action[3:6]) @ np.array(about["nominal_grip"])
+            np.testing.assert_allclose(turned, turn(actions[t][3:6]), atol=1e-5)
             np.testing.assert_allclose(item["observation.state"][:7], states[t, 1:8], atol=1e-6)
             for v, camera in enumerate(cameras):
                 pose = base_from_world @ file["cameras/world_from_camera"][camera]

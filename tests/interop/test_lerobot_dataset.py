@@ -11,6 +11,7 @@ import time
 import av
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 pytest.importorskip("pyarrow", reason="jaxcam[lerobot] is not installed")
 
@@ -162,6 +163,16 @@ def test_metadata_tells_the_cameras(folder, data, demos, lift):
     )
     assert (about["task"], about["action_space"]) == ("lift", "eef_abs")
     assert about["source"]["fingerprint"] == demos.fingerprint
+
+
+def test_metadata_tells_what_rotations_are_counted_from(folder, data, demos):
+    about = read_json(folder, "jaxcam")
+    assert "R_world = exp(r) @ nominal_grip" in about["conventions"]["actions"]
+    for demo, actions in zip(demos.episodes, data.actions, strict=True):
+        turned = Rotation.from_rotvec(actions[: demo.length, 3:6])
+        found = turned * Rotation.from_matrix(about["nominal_grip"])
+        apart = found * Rotation.from_rotvec(demo.actions[:, 3:6]).inv()
+        assert apart.magnitude().max() < 1e-6
 
 
 def test_tasks_are_indexed_by_their_words(folder, lift):

@@ -152,6 +152,13 @@ def test_what_has_no_place_here_is_told(tmp_path):
     edited(out, dim_feedforward=24)
     with pytest.raises(CheckpointError, match="actions of 7, but lift in joint_abs has 8"):
         adopt(out, replace(run, action_space="joint_abs"))
+    with pytest.raises(CheckpointError, match="action_space eef_delta, as its jaxcam"):
+        adopt(out, replace(run, action_space="eef_abs"))
+    about = json.loads((out / "jaxcam.json").read_text()) | {"action_space": "eef_abs"}
+    del about["rotations"]  # as version 0.1.0 wrote it
+    (out / "jaxcam.json").write_text(json.dumps(about))
+    with pytest.raises(CheckpointError, match="give --rotations world"):
+        adopt(out, replace(run, action_space="eef_abs"))
     with pytest.raises(CheckpointError, match="exists"):
         export_policy(inputs_of(settings_for("act")), out)
     with pytest.raises(CheckpointError, match="no LeRobot checkpoint"):

@@ -323,7 +323,7 @@ def test_delta_actions_of_an_imported_demonstration_are_small(files):
     """They are differenced between commands, so they must not jump more than robosuite's do."""
     for demo in imported(files["1.5"]).train:
         start = np.concatenate([demo.eef_pos[0], np.zeros(3)])
-        moves = encode("eef_delta", demo.actions[:, :6], demo.actions[:, 6], start)
+        moves = encode("eef_delta", demo.actions[:, :6], demo.actions[:, 6], start, np.eye(3))
         assert np.abs(moves[1:, :3]).max() < 0.05
 
 

@@ -1,6 +1,7 @@
 """Which run it is: settings in full, names, and what makes another run."""
 
 import dataclasses
+import json
 
 import pytest
 
@@ -37,6 +38,32 @@ def test_resolve_leaves_nothing_open_and_is_idempotent(key, accelerator):
     config = resolve(TrainConfig(policy=policy, preset=preset), accelerator=accelerator)
     assert None not in dataclasses.asdict(config).values()
     assert resolve(config, accelerator=not accelerator) is config
+
+
+@pytest.mark.parametrize(("space", "rotations"), [("eef_abs", "world"), ("eef_delta", "nominal")])
+def test_a_run_of_version_0_1_0_keeps_its_rotations(tmp_path, space, rotations):
+    """Its config.json has no such setting; what it learned were vectors from the world's axes."""
+    now = resolve(TrainConfig(action_space=space), accelerator=False)
+    old = json.loads(to_json(now))
+    del old["rotations"]
+    (tmp_path / "config.json").write_text(json.dumps(old))
+    config = read_config(tmp_path)
+    assert config == dataclasses.replace(now, rotations=rotations)
+    other = [str(d) for d in differences(config, now)]
+    assert other == (["rotations: 'world' -> 'nominal'"] if space == "eef_abs" else [])
+
+
+def test_rotations_are_of_one_action_space():
+    with pytest.raises(ConfigError, match="rotations is for action_space eef_abs, not eef_delta"):
+        TrainConfig(rotations="world")
+    assert "rotations" not in identity(LAPTOP)
+    new, old = (
+        resolve(TrainConfig(action_space="eef_abs", rotations=r), accelerator=False)
+        for r in ("nominal", "world")
+    )
+    assert changes(identity(new) | {"engine": "native"}) == {"action_space": "eef_abs"}
+    assert changes(identity(old))["rotations"] == "world"
+    assert identity(new) != identity(old)
 
 
 def test_given_values_win_over_the_preset():

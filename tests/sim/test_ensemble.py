@@ -140,7 +140,7 @@ def test_a_rollout_executes_means_of_absolute_targets(lift, scene, renderer):
     chunks, rate = near(lift, scene), 0.3
     engine = Recorder(scene, "osc_pose", lift.varied)
     roll(
-        lambda obs, call: chunks[call], engine, lift, scene, renderer, "eef_abs",
+        lambda obs, call: chunks[call], engine, lift, scene, renderer, "eef_abs_world",
         execute=CHUNK, ensembling=rate,
     )  # fmt: skip
     assert len(engine.commands) == HORIZON
@@ -153,6 +153,26 @@ def test_a_rollout_executes_means_of_absolute_targets(lift, scene, renderer):
             expected = Rotation.from_rotvec(one[:, b, 3:6]).mean(share)
             got = Rotation.from_rotvec(command.target[b, 3:])
             assert (expected.inv() * got).magnitude() < 1e-6
+
+
+def test_means_are_of_rotations_whatever_they_are_counted_from(lift, scene, renderer):
+    """The same poses as numbers of either space are averaged to the same commands."""
+    chunks, runs = near(lift, scene), []
+    poses = Rotation.from_rotvec(chunks[..., 3:6].reshape(-1, 3))
+    turned = poses * Rotation.from_matrix(scene.nominal_grip.T)
+    nominal = chunks.copy()
+    nominal[..., 3:6] = turned.as_rotvec().reshape(nominal[..., 3:6].shape)
+    for space, numbers in (("eef_abs_world", chunks), ("eef_abs", nominal)):
+        engine = Recorder(scene, "osc_pose", lift.varied)
+        act = iter(numbers)
+        roll(
+            lambda obs, call, act=act: next(act), engine, lift, scene, renderer, space,
+            execute=CHUNK, ensembling=0.3,
+        )  # fmt: skip
+        runs.append(np.stack([command.target for command in engine.commands]))
+    np.testing.assert_allclose(runs[1][..., :3], runs[0][..., :3])
+    one, other = (Rotation.from_rotvec(run[..., 3:].reshape(-1, 3)) for run in runs)
+    assert (one.inv() * other).magnitude().max() < 1e-6
 
 
 @pytest.mark.parametrize("space", ["eef_delta", "joint_delta"])
@@ -174,7 +194,7 @@ def test_a_compiled_rollout_is_the_same(lift, scene, renderer):
     act = Partial(lambda chunks, obs, call: chunks[call], jnp.asarray(chunks))
     how = {"execute": CHUNK, "ensembling": 0.3}
     qpos = [
-        roll(act, engine, lift, scene, renderer, "eef_abs", **how).qpos
+        roll(act, engine, lift, scene, renderer, "eef_abs_world", **how).qpos
         for engine in (
             NativeEngine(scene, "osc_pose", lift.varied),
             MjxEngine(scene, "osc_pose", lift.varied),

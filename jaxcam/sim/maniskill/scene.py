@@ -36,6 +36,7 @@ class SapienWorld(World):
     simulator: ClassVar[SimulatorName] = "sapien"
     table_top: ClassVar[float] = 0.0
     table_middle: ClassVar[float] = 0.0
+    base_from_grip: ClassVar[np.ndarray] = np.diag([1.0, -1, -1])
 
     task: str
     """Name of the task."""

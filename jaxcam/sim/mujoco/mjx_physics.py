@@ -24,6 +24,7 @@ from jaxcam.sim.mujoco.mjx_model import (
     resized,
     suit_warp,
 )
+from jaxcam.sim.mujoco.mjx_room import LOST_FOR_GOOD
 from jaxcam.sim.mujoco.scene import Scene
 from jaxcam.sim.types import Command, ControllerName, Start, State
 
@@ -120,6 +121,8 @@ class MjxPhysics:
     ) -> tuple[State, jax.Array]:
         """One control step of every world; those that do not run stay as they are.
 
+        A world that diverges, or loses a contact for good, ends as it was before, not `ok`.
+
         Returns:
             The states, and MuJoCo Warp's bits of overflow [B] of the worlds that ran.
         """
@@ -147,6 +150,7 @@ class MjxPhysics:
             start = (state.qpos, state.qvel, state.warmstart, nothing)
             qpos, qvel, warmstart, overflow = jax.lax.fori_loop(0, self.substeps, substep, start)
             sound = (abs(qpos) < mujoco.mjMAXVAL).all(-1) & (abs(qvel) < mujoco.mjMAXVAL).all(-1)
+            sound &= (overflow & LOST_FOR_GOOD) == 0
             moved = run & sound
 
             def pick(new: jax.Array, old: Array) -> jax.Array:

@@ -24,7 +24,10 @@ _OVERFLOWS = {
 }
 """Bits of MuJoCo Warp's `overflow` that mean lost contacts, and the argument to raise. The others
 tell of what this project does not use, or of a solver that stopped at its limit of iterations,
-which MuJoCo's C library does in silence too."""
+which MuJoCo's C library does in silence too; but for the one below."""
+LOST_FOR_GOOD = 1 << 8
+"""The bit that a world lost a contact for which no argument makes room: while Warp looked for the
+depth of two convex shapes in each other (EPA), more edges were in sight than its 24."""
 
 
 class Room:

@@ -45,6 +45,7 @@ class Scene(World):
     simulator: ClassVar[SimulatorName] = "mujoco"
     table_top: ClassVar[float] = TABLE_TOP
     table_middle: ClassVar[float] = TABLE_TOP - TABLE_SIZE[2] / 2
+    base_from_grip: ClassVar[np.ndarray] = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
 
     physics: mujoco.MjModel
     """Slim model that engines step."""

@@ -6,7 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 from jax.tree_util import Partial
+from mujoco import mjx
 from mujoco.mjx import forward as warp_forward
+from mujoco.mjx.third_party.mujoco_warp import OverflowType
 
 from jaxcam.data.batches import demo_actions
 from jaxcam.data.demos import starts_of
@@ -19,7 +21,7 @@ from jaxcam.sim.actions import decode, measured
 from jaxcam.sim.engine import OpenLoop
 from jaxcam.sim.mujoco.mjx import MjxEngine
 from jaxcam.sim.mujoco.mjx_model import check_pairs
-from jaxcam.sim.mujoco.mjx_room import Room
+from jaxcam.sim.mujoco.mjx_room import LOST_FOR_GOOD, Room
 from jaxcam.sim.mujoco.native import NativeEngine
 from jaxcam.sim.rollout import Agent, Episodes, rollout
 from jaxcam.sim.task import starts
@@ -246,6 +248,26 @@ def test_lost_contacts_are_an_error_when_there_was_much_room(lift, scene, start,
         engine.step(state, Command(np.asarray(state.qpos[:, scene.arm]), -np.ones(WORLDS)))
 
 
+def test_a_contact_that_is_lost_for_good_loses_its_world_alone(lift, scene, start, monkeypatch):
+    """Warp's flag of a full EPA horizon: more room would not help, and the physics is wrong."""
+    step, there = mjx.step, jnp.asarray(start.qpos[2], jnp.float32)
+
+    def flagged(model, data):
+        after = step(model, data)
+        lost = jnp.where(abs(data.qpos - there).max() < 1e-6, LOST_FOR_GOOD, 0)
+        return after.tree_replace({"_impl.overflow": after._impl.overflow | lost})
+
+    monkeypatch.setattr(mjx, "step", flagged)
+    assert OverflowType.EPA_HORIZON == LOST_FOR_GOOD
+    engine = MjxEngine(scene, "joint_position", lift.varied)
+    state = engine.reset(start)
+    command = Command(np.asarray(state.qpos[:, scene.arm]) + 0.1, -np.ones(WORLDS))
+    after = engine.step(state, command)
+    assert after.ok.tolist() == [world != 2 for world in range(WORLDS)]
+    moved = abs(np.asarray(after.qpos) - np.asarray(state.qpos)).max(1) > 0
+    assert moved.tolist() == after.ok.tolist()
+
+
 def test_engines_by_name(lift, scene):
     assert engine_name("auto", scene) == "native"
     assert isinstance(make_engine("auto", scene, "osc_pose", lift.varied), NativeEngine)
@@ -272,7 +294,7 @@ def replayed(engine, demos, lift, scene, extra=0):
     for row, demo in zip(moves, demos, strict=True):
         row[: demo.length] = demo_actions(demo, "eef_delta", scene)
     anchor = np.asarray(measured("eef_delta", engine.reset(start), scene.arm), float)
-    return start, Command(*decode("eef_delta", moves, anchor))
+    return start, Command(*decode("eef_delta", moves, anchor, scene.nominal_grip))
 
 
 @pytest.mark.slow
