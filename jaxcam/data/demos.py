@@ -331,8 +331,9 @@ def _read_header(path: Path, file: h5py.File) -> Header:
         raise DatasetError(f"{path}: no cameras (dataset 'cameras/world_from_camera' is missing).")
     poses = _array(str(path), file, "cameras/world_from_camera")
     if poses.ndim != 3 or poses.shape[1:] != (4, 4) or poses.dtype.kind != "f":
+        kind = f"{poses.dtype} " if poses.dtype.kind != "f" else ""
         raise DatasetError(
-            f"{path}: cameras/world_from_camera is {poses.dtype} {list(poses.shape)}, expected "
+            f"{path}: cameras/world_from_camera is {kind}{list(poses.shape)}, expected "
             "floating-point numbers [cameras, 4, 4]."
         )
     check_about(path, about)
