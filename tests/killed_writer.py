@@ -121,7 +121,5 @@ if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
         result = killed(Path(folder) / "killed.hdf5", int(sys.argv[1]))
     counts = np.bincount(result.after, minlength=EPISODES + 1)
-    print(
-        f"{len(result.after)} kills, {result.completed} datasets completed, none lost an episode;"
-    )
+    print(f"{len(result.after)} kills lost no episode; {result.completed} datasets were completed")
     print(f"kills after 0 to {EPISODES} finished episodes: {counts.tolist()}")

@@ -8,7 +8,7 @@ import pytest
 from conftest import PIXELS
 
 from jaxcam.checks.pictures import check_caches
-from jaxcam.data.pictures import load_pictures
+from jaxcam.data.samples import Layout
 
 
 @pytest.fixture
@@ -53,7 +53,7 @@ def test_pictures_that_show_something_else(cached, pictures_of, change, cause):
 
 def test_blank_and_frozen_pictures(cached, pictures_of):
     demos, cache, pictures = cached
-    _, second, third = load_pictures(demos, PIXELS).layout.first[:3]
+    _, second, third = Layout.of(demos).first[:3]
     pictures[0] = 0
     pictures[second:third] = pictures[second]
     pictures.flush()

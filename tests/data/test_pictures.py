@@ -97,7 +97,7 @@ def test_pictures_that_are_not_what_was_drawn_are_drawn_again_and_told(
 
 
 def test_only_damage_to_what_is_looked_at_is_mended(cached, drawn):
-    demos, cache, rgb = cached
+    demos, _, rgb = cached
     flip_a_bit(rgb)
     rgb.flush()
     wanted = np.ones(len(rgb), bool)
