@@ -73,12 +73,12 @@ class Kills:
 
 def killed(path: Path, kills: int, seed: int = 0) -> Kills:
     """Kills a writer so often, and checks after each that nothing finished is lost."""
-    rng, found = np.random.default_rng(seed), Kills([], 0)
+    rng, outcome = np.random.default_rng(seed), Kills([], 0)
     finished: set[int] = set()
     started = time.monotonic()
     write(path.with_name("timed.hdf5"))
     longest = 1.2 * (time.monotonic() - started)
-    while len(found.after) < kills:
+    while len(outcome.after) < kills:
         reads, writes = os.pipe()
         child = os.fork()
         if not child:
@@ -94,20 +94,20 @@ def killed(path: Path, kills: int, seed: int = 0) -> Kills:
         with os.fdopen(reads, "rb") as named:
             finished |= set(named.read())
         if os.WIFSIGNALED(status):
-            found.after.append(len(finished))
+            outcome.after.append(len(finished))
         if path.exists():
             demos = read_demos(path)
             require_equal(demos)
-            found.completed += 1
+            outcome.completed += 1
             finished = set()
             path.unlink()
             continue
         with DemoWriter(path, header()) as writer:
             if not finished <= writer.done:
-                raise AssertionError(f"lost {finished - writer.done} after {found.after[-1:]}")
+                raise AssertionError(f"lost {finished - writer.done} after {outcome.after[-1:]}")
     write(path)
     require_equal(read_demos(path))
-    return found
+    return outcome
 
 
 def require_equal(demos: Demos) -> None:

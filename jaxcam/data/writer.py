@@ -196,8 +196,8 @@ class DemoWriter:
         old.unlink(missing_ok=True)
 
     def _require_same(self, stored: Header) -> None:
-        found, wanted = stored.identity(), self.header.identity()
-        wrong = [f"{k}: file {found[k]}, asked {v}" for k, v in wanted.items() if found[k] != v]
+        kept, wanted = stored.identity(), self.header.identity()
+        wrong = [f"{k}: file {kept[k]}, asked {v}" for k, v in wanted.items() if kept[k] != v]
         if wrong:
             raise DatasetError(
                 f"{self.part}: an unfinished dataset of other settings ({', '.join(wrong)}). "
