@@ -22,16 +22,21 @@ from jaxcam.checks.numbers import (
 from jaxcam.checks.overlays import chosen
 from jaxcam.console.progress import progress
 from jaxcam.console.words import some
-from jaxcam.data.demos import Demo, Demos, faults_of, read_demos, starts_of
+from jaxcam.data.demos import Demo, Demos, faults_of, read_demos
 from jaxcam.data.replay import GATE, replay_all
 from jaxcam.errors import DatasetError
 from jaxcam.sim import make_engine
 from jaxcam.sim.actions import ACTION_SPACES
 from jaxcam.sim.task import Task
+from jaxcam.sim.types import Start
 from jaxcam.sim.world import World
 
 APART = 1e-3
 """Distance (m) up to which the recorded grip is where the recorded joints put it."""
+TURNED = 1e-2
+"""Angle (rad) up to which its axes are those that the joints give it."""
+LOOKED = 32
+"""States of a demonstration in which its grip is looked at."""
 LISTED = 10
 """Faults of a file that are listed one by one."""
 REPLAY_FIX = """Commands, gripper sign, object poses or the task are not what was recorded; \
@@ -161,11 +166,24 @@ def _twins(episodes: Sequence[Demo], key: Callable[[Demo], bytes]) -> Iterator[t
 def _grip(demos: Sequence[Demo], rows: np.ndarray, task: Task, scene: World) -> Finding:
     """Whether the recorded grip is where the simulator has it for the recorded joints."""
     engine = make_engine(None, scene, "osc_pose", task.varied)
-    there = np.asarray(engine.reset(starts_of(demos)).grip_position)
-    apart = np.linalg.norm(there - [d.eef_pos[0] for d in demos], axis=-1)
-    got = f"within {apart.max() * 1000:.2g} mm of where the joints put it"
-    if apart.max() <= APART:
+    far, turned = np.zeros(len(demos)), np.zeros(len(demos))
+    for i, demo in enumerate(demos):
+        steps = chosen(len(demo.qpos), LOOKED)
+        same = (np.broadcast_to(x, (len(steps), *x.shape)) for x in demo.start()[1:])
+        there = engine.reset(Start(demo.qpos[steps], *same))
+        grip = demo.world_from_grip()[steps]
+        far[i] = np.linalg.norm(there.grip_position - grip[:, :3, 3], axis=-1).max()
+        cosine = (np.einsum("nij,nij->n", there.grip_rotation, grip[:, :3, :3]) - 1) / 2
+        turned[i] = np.arccos(np.clip(cosine, -1, 1)).max()
+    got = f"within {far.max() * 1000:.2g} mm and {np.rad2deg(turned.max()):.1f}° of where the "
+    got += "joints put it"
+    wrong = (far > APART) | (turned > TURNED)
+    if not wrong.any():
         return good("grip", got=got)
-    where = some([f"demo_{i}" for i in rows[apart > APART]])
-    fix = "obs/robot0_eef_pos is the grip site in the world, in metres; states are of this robot."
-    return bad("grip", got=got, expected=f"within {APART * 1000:g} mm", where=where, fix=fix)
+    where = some([f"demo_{i}" for i in rows[wrong]])
+    fix = (
+        "obs/robot0_eef_pos and _quat (xyzw) are the grip site in the world, in metres; states are "
+    )
+    fix += "of this robot."
+    expected = f"within {APART * 1000:g} mm and {np.rad2deg(TURNED):.2g}°"
+    return bad("grip", got=got, expected=expected, where=where, fix=fix)

@@ -10,8 +10,10 @@ import numpy as np
 from jaxcam.checks.findings import Finding, bad, good, note
 from jaxcam.checks.overlays import PIXELS, Moment, chosen, draw, draw_over, moments, sheet
 from jaxcam.console.words import some
+from jaxcam.data.caches import is_blank
 from jaxcam.data.demos import Demos
-from jaxcam.data.pictures import Pictures, is_blank, open_pictures
+from jaxcam.data.pictures import Pictures, cache_of
+from jaxcam.data.samples import Layout
 from jaxcam.errors import JaxcamError
 from jaxcam.rays import spherical
 from jaxcam.sim import make_painter, painter_of
@@ -64,15 +66,24 @@ def check_caches(demos: Demos, task: Task, scene: World, count: int) -> Iterator
             )
             continue
         try:
-            cache = open_pictures(path, demos, int(side))
+            cache = cache_of(path.with_suffix(".npy"), demos, int(side))
         except JaxcamError as error:
             yield bad(what, got=str(error), where=path.name)
+            continue
+        if cache.rgb is None:
+            yield bad(
+                what, got="cannot be read", where=path.name, fix="Delete it; it is drawn anew."
+            )
             continue
         if not cache.drawn.any():
             yield note(what, got="none drawn yet", where=path.name)
             continue
-        yield _blank(what, path, cache)
-        yield _compared(what, path, cache, demos, task, scene, count)
+        pictures = Pictures(cache.rgb, Layout.of(demos), cache.drawn)
+        if cache.has_sums and (damaged := np.flatnonzero(cache.damaged())).size:
+            yield _damaged(what, path, damaged, pictures)
+        else:
+            yield _blank(what, path, pictures, has_sums=cache.has_sums)
+        yield _compared(what, path, pictures, demos, task, scene, count)
 
 
 def draw_overlays(demos: Demos, task: Task, scene: World, count: int) -> np.ndarray:
@@ -96,7 +107,19 @@ def draw_overlays(demos: Demos, task: Task, scene: World, count: int) -> np.ndar
     return sheet(list(pictures), captions)
 
 
-def _blank(what: str, path: Path, cache: Pictures) -> Finding:
+def _damaged(what: str, path: Path, damaged: np.ndarray, cache: Pictures) -> Finding:
+    """That pictures are not what was drawn."""
+    demos = sorted({int(d) for d in cache.layout.owner(damaged)})
+    return bad(
+        what,
+        got=f"{len(damaged)} of {cache.drawn.sum()} are not what was drawn: other checksums",
+        expected="what was drawn",
+        where=f"{path.name}: {some([f'demo_{d}' for d in demos])}",
+        fix="Training draws them again.",
+    )
+
+
+def _blank(what: str, path: Path, cache: Pictures, *, has_sums: bool) -> Finding:
     """Whether pictures are of one colour, or demonstrations stand still."""
     first, cameras = cache.layout.first, cache.layout.cameras
     rows = _some_drawn(cache, SCANNED)
@@ -111,7 +134,8 @@ def _blank(what: str, path: Path, cache: Pictures) -> Finding:
     if not blank and not frozen:
         total, drawn = len(cache.drawn), cache.drawn.sum()
         got = f"{total} pictures" if drawn == total else f"{drawn} of {total} pictures are drawn"
-        return good(what, got=f"{got}; of {len(rows)} looked at none is blank")
+        sums = "all are what was drawn" if has_sums else "they get checksums when they are used"
+        return good(what, got=f"{got}; {sums}; of {len(rows)} looked at none is blank")
     where = some([f"picture {row}" for row in blank] + [f"demo_{i}" for i in frozen])
     got = (
         f"{len(blank)} of {len(rows)} pictures are blank; {len(frozen)} demonstrations stand still"

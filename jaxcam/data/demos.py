@@ -14,8 +14,8 @@ A file holds no pictures; they are rendered from its states (`jaxcam.data.pictur
     cameras/fovy_deg                      vertical field of view
     mask/{train, valid}                   names of the demonstrations
 
-Datasets carry Fletcher-32 checksums, and a complete file a hash of its content
-(`jaxcam.data.writer`).
+Datasets carry Fletcher-32 checksums, and a complete file hashes of its content
+(`jaxcam.data.contents`).
 """
 
 import contextlib
@@ -23,13 +23,22 @@ import hashlib
 import json
 import logging
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
+from jaxcam.data.contents import (
+    ARRAYS,
+    OLD_SEAL,
+    SEAL,
+    check_about,
+    check_arrays,
+    check_starts,
+    seal_of_all,
+)
 from jaxcam.data.hdf5 import Format, format_of, open_hdf5, whole
 from jaxcam.errors import DatasetError
 from jaxcam.rays import ROTATION_TOLERANCE
@@ -84,6 +93,10 @@ class Demo:
     def qvel(self) -> np.ndarray:
         """Joint velocities at the same times [T + 1, nv]."""
         return self.states[:, 1 + self.nq :]
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Its arrays by their names in a file."""
+        return {name: getattr(self, of) for name, of in ARRAYS.items()}
 
     def start(self) -> Start:
         """What fixes the episode before its first step."""
@@ -164,20 +177,8 @@ class Header:
 
     def identity(self) -> dict[str, Any]:
         """What two files must share to be parts of one dataset."""
-        keys = (
-            "task",
-            "scene",
-            "n",
-            "m",
-            "seed",
-            "train",
-            "valid",
-            "fovy_deg",
-            "nq",
-            "nv",
-            "format",
-        )
-        return {k: getattr(self, k) for k in keys}
+        names = [f.name for f in fields(self)]
+        return {k: getattr(self, k) for k in names if k not in ("world_from_camera", "versions")}
 
 
 @dataclass(frozen=True)
@@ -227,20 +228,17 @@ def read_demos(path: Path, *, task: str | None = None, scene: str | None = None)
                     "--data-dir elsewhere or collect that one: python -m jaxcam.collect "
                     f"--task {task or header.task} --scene {scene or header.scene}"
                 )
-        digest = hashlib.sha256(np.ascontiguousarray(header.world_from_camera).tobytes())
         demos = [_read_demo(path, file, i, header) for i in range(header.train + header.valid)]
-        seal = file["data"].attrs.get("sha256")
-    for demo in demos:
-        for array in (demo.states, demo.actions, demo.geom_size, demo.fixtures, demo.cameras):
-            digest.update(np.ascontiguousarray(array).tobytes())
-    demos_read = Demos(
-        path, header, demos[: header.train], demos[header.train :], digest.hexdigest()[:16]
-    )
-    if seal is not None and seal != seal_of(demos_read):
-        raise DatasetError(
-            f"{path}: damaged: its content is not what was written. Delete it and collect again, "
-            "or copy it anew."
-        )
+        check_starts(path, header.task, header.scene, demos)
+        seals = {name: file["data"].attrs.get(name) for name in (OLD_SEAL, SEAL)}
+        sealed = seal_of_all(file, [demo.arrays() for demo in demos])
+    train, valid = demos[: header.train], demos[header.train :]
+    demos_read = Demos(path, header, train, valid, fingerprint_of(header, demos))
+    for name, expected in ((OLD_SEAL, seal_of(demos_read)), (SEAL, sealed)):
+        if seals[name] is not None and seals[name] != expected:
+            raise DatasetError(
+                f"{path}: damaged: its content is not what was written ({name}). {REMEDY}"
+            )
     # After the hashes: a singular value decomposition has other last digits on other machines.
     return replace(demos_read, header=_orthonormal(path, header))
 
@@ -262,11 +260,37 @@ def _orthonormal(path: Path, header: Header) -> Header:
     return replace(header, world_from_camera=poses)
 
 
+def fingerprint_of(header: Header, demos: Sequence[Demo]) -> str:
+    """Hash of all states, commands, starts and cameras: the name of what is made from them."""
+    digest = hashlib.sha256(np.ascontiguousarray(header.world_from_camera).tobytes())
+    for demo in demos:
+        for array in (demo.states, demo.actions, demo.geom_size, demo.fixtures, demo.cameras):
+            digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()[:16]
+
+
 def seal_of(demos: Demos) -> str:
-    """Hash of all that is read of a file; checksums see arrays, but attributes have none."""
+    """The seal of version 0.1.0, which leaves `obs` and some attributes out (`OLD_SEAL`)."""
     seeds = [d.seed for d in demos.episodes]
     content = [demos.fingerprint, demos.header.identity(), seeds]
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()
+
+
+def read_unfinished(path: Path) -> tuple[Header, dict[int, Demo]]:
+    """What version 0.1.0 left of a collection: the header, and the episodes that are whole.
+
+    Raises:
+        DatasetError: The file cannot be opened, or has no header.
+    """
+    demos = {}
+    with _open(path) as file:
+        header = _read_header(path, file)
+        for i in range(header.train + header.valid):
+            # Another kind of error would say that the whole file is damaged.
+            with contextlib.suppress(DatasetError, OSError, RuntimeError, LookupError, ValueError):
+                if "num_samples" in file[f"data/demo_{i}"].attrs:
+                    demos[i] = _read_demo(path, file, i, header)
+    return header, demos
 
 
 def faults_of(path: Path) -> list[DatasetError]:
@@ -305,15 +329,26 @@ def _read_header(path: Path, file: h5py.File) -> Header:
         raise DatasetError(f"{path}: format {found}, but this jaxcam reads {FORMAT}.")
     if "cameras/world_from_camera" not in file:
         raise DatasetError(f"{path}: no cameras (dataset 'cameras/world_from_camera' is missing).")
-    poses: Any = file["cameras/world_from_camera"]
-    if poses.shape[1:] != (4, 4):
+    poses = _array(str(path), file, "cameras/world_from_camera")
+    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or poses.dtype.kind != "f":
+        kind = f"{poses.dtype} " if poses.dtype.kind != "f" else ""
         raise DatasetError(
-            f"{path}: cameras/world_from_camera is {list(poses.shape)}, expected [cameras, 4, 4]."
+            f"{path}: cameras/world_from_camera is {kind}{list(poses.shape)}, expected "
+            "floating-point numbers [cameras, 4, 4]."
         )
+    check_about(path, about)
     try:
-        return Header(world_from_camera=poses[:], **about)
+        return Header(world_from_camera=poses, **about)
     except TypeError as error:
         raise DatasetError(f"{path}: incomplete jaxcam header ({error}).") from error
+
+
+def _array(where: str, group: h5py.Group, name: str) -> np.ndarray:
+    """The whole array of that name."""
+    item: Any = group[name]
+    if not isinstance(item, h5py.Dataset):
+        raise DatasetError(f"{where}: {name} is a group, expected an array.")
+    return np.asarray(item[()])
 
 
 def _whose(path: Path, file: h5py.File) -> str:
@@ -332,59 +367,27 @@ def _read_demo(path: Path, file: h5py.File, index: int, header: Header) -> Demo:
     if name not in file:
         raise DatasetError(f"{path}: {name} is missing.")
     group: Any = file[name]
+    where = f"{path}: {name}"
     try:
-        demo = Demo(
-            seed=int(group.attrs["seed"]),
-            nq=header.nq,
-            states=group["states"][:],
-            actions=group["actions"][:],
-            eef_pos=group["obs/robot0_eef_pos"][:],
-            eef_quat=group["obs/robot0_eef_quat"][:],
-            gripper=group["obs/robot0_gripper"][:],
-            geom_size=group["start/geom_size"][:],
-            fixtures=group["start/fixtures"][:],
-            cameras=np.asarray(group.attrs["cameras"], int),
-        )
+        seed, cameras = (np.asarray(group.attrs[key]) for key in ("seed", "cameras"))
+        arrays = {of: _array(where, group, key) for key, of in ARRAYS.items()}
     except KeyError as error:
-        raise DatasetError(f"{path}: {name}: {error}.") from error
+        raise DatasetError(f"{where}: {error}.") from error
     except OSError as error:
         raise DatasetError(
-            f"{path}: {name}: checksum or read error ({error}). Copy the file anew, or leave the "
+            f"{where}: checksum or read error ({error}). Copy the file anew, or leave the "
             "demonstration out."
         ) from error
-    cameras = len(header.world_from_camera)
-    if demo.cameras.size == 0 or demo.cameras.min() < 0 or demo.cameras.max() >= cameras:
+    if seed.dtype.kind not in "iu" or seed.size != 1:
+        raise DatasetError(f"{where}: seed is {seed.tolist()!r:.80}, expected a whole number.")
+    count = len(header.world_from_camera)
+    if cameras.size and (cameras.dtype.kind not in "iu" or cameras.ndim != 1):
         raise DatasetError(
-            f"{path}: {name}: cameras {demo.cameras.tolist()} are missing; the file has {cameras}."
+            f"{where}: cameras are {cameras.dtype} {list(cameras.shape)}, expected whole numbers."
         )
-    _check_demo(f"{path}: {name}", demo, header)
-    return demo
-
-
-def _check_demo(where: str, demo: Demo, header: Header) -> None:
-    """Refuses a demonstration without steps, of other shapes, or with numbers that are none."""
-    steps = demo.length
-    if steps == 0 or len(demo.states) != steps + 1:
+    if cameras.size == 0 or cameras.min() < 0 or cameras.max() >= count:
         raise DatasetError(
-            f"{where}: {steps} actions need {steps + 1} states, got {len(demo.states)}."
+            f"{where}: cameras {cameras.tolist()} are missing; the file has {count}."
         )
-    rows = steps + 1
-    shapes = {
-        "states": (rows, 1 + header.nq + header.nv),
-        "actions": (steps, 7),
-        "eef_pos": (rows, 3),
-        "eef_quat": (rows, 4),
-        "gripper": (rows,),
-    }
-    for field_name, shape in shapes.items():
-        array = getattr(demo, field_name)
-        if array.shape != shape:
-            raise DatasetError(
-                f"{where}: {field_name} is {list(array.shape)}, expected {list(shape)}."
-            )
-        bad = np.argwhere(~np.isfinite(array))
-        if len(bad):
-            raise DatasetError(
-                f"{where}: non-finite {field_name}: {len(bad)} of {array.size} numbers, the first "
-                f"at step {bad[0, 0]}. Leave the demonstration out, or record it again."
-            )
+    check_arrays(where, arrays, nq=header.nq, nv=header.nv)
+    return Demo(seed=int(seed.item()), nq=header.nq, cameras=cameras.astype(int), **arrays)

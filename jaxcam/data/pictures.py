@@ -2,13 +2,13 @@
 
 A cache is one uint8 array on disk, `[pictures, H, W, 3]`, read through a memory map. It is written
 as `<name>.part` beside a note of which are drawn, so an interrupted rendering goes on. A run that
-sees few of them has only those drawn: a `.part` may stay one, with holes that take no disk.
+sees few of them has only those drawn: a `.part` may stay one, with holes that take no disk. Those
+that a run will look at are held against their checksums first, and drawn again where they differ.
 """
 
 import functools
 import multiprocessing
 import os
-import shutil
 import signal
 from collections import deque
 from collections.abc import Iterable, Iterator
@@ -20,10 +20,11 @@ import numpy as np
 from rich.console import Console
 
 from jaxcam.console.progress import progress
+from jaxcam.data.caches import PICTURES_AT_ONCE, Cache, is_blank
 from jaxcam.data.cameras import require_possible
 from jaxcam.data.demos import Demo, Demos, Header
 from jaxcam.data.samples import Layout
-from jaxcam.errors import DatasetError, SimError
+from jaxcam.errors import SimError
 from jaxcam.files.locks import exclusive
 from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.sim import make_painter, make_task, painter_of
@@ -31,8 +32,6 @@ from jaxcam.sim.painter import Painter
 from jaxcam.sim.types import View
 from jaxcam.sim.world import World
 
-PICTURES_AT_ONCE = 512
-"""Pictures that are drawn and kept together."""
 GROUPS_PER_WORKER = 8
 """Groups of pictures below which another process is not worth its start."""
 
@@ -72,63 +71,49 @@ def load_pictures(
     look = painter_of(_scene(demos.header)).look()
     name = f"{demos.path.stem}-{demos.fingerprint}-{resolution}px-{look}.npy"
     path = demos.path.parent / "frames" / name
-    if path.exists():
-        return open_pictures(path, demos, resolution)
+    cache = cache_of(path, demos, resolution)
+    if cache.complete:
+        cache.adopt()
+        if not cache.damaged(wanted).any():
+            return _pictures(cache, demos)
     with exclusive(path, console):
-        if not path.exists():
-            path = _render(path, demos, resolution, console, wanted)
-        return open_pictures(path, demos, resolution)
+        cache = cache_of(path, demos, resolution)
+        cache.adopt()
+        _render(cache, demos, resolution, console, wanted)
+        return _pictures(cache, demos)
 
 
-def open_pictures(path: Path, demos: Demos, resolution: int) -> Pictures:
-    """Opens a cache.
+def cache_of(path: Path, demos: Demos, resolution: int) -> Cache:
+    """Opens the cache that is complete at `path`, or is becoming so.
 
     Args:
-        path: Of the cache.
+        path: Of the complete cache.
         demos: The dataset whose pictures it holds.
         resolution: Side of the pictures (pixels).
 
     Raises:
         DatasetError: If it is not what was written.
     """
-    layout = Layout.of(demos)
-    shape = (layout.total, resolution, resolution, 3)
-    try:
-        rgb = np.load(path, mmap_mode="r")
-        content = f"{rgb.dtype} {list(rgb.shape)}"
-    except (OSError, ValueError, EOFError) as error:
-        rgb, content = None, f"{path.stat().st_size} bytes that cannot be read ({error})"
-    if rgb is None or rgb.shape != shape or rgb.dtype != np.uint8:
-        raise DatasetError(
-            f"{path}: the pictures should be uint8 {list(shape)}, but are {content}. Delete the "
-            "file; they are drawn anew."
-        )
-    return Pictures(rgb, layout, _drawn(path, layout.total))
+    return Cache(path, (Layout.of(demos).total, resolution, resolution, 3))
 
 
-def _drawn(path: Path, total: int) -> np.ndarray:
-    """Which pictures of a cache are drawn, bool [total]."""
-    if path.suffix != ".part":
-        return np.ones(total, bool)
-    flags = path.with_suffix(".drawn")
-    drawn = np.fromfile(flags, bool) if path.exists() and flags.exists() else np.zeros(0, bool)
-    return drawn if len(drawn) == total else np.zeros(total, bool)
+def _pictures(cache: Cache, demos: Demos) -> Pictures:
+    assert cache.rgb is not None
+    return Pictures(cache.rgb, Layout.of(demos), cache.drawn)
 
 
 def _render(
-    path: Path,
+    cache: Cache,
     demos: Demos,
     resolution: int,
     console: Console | None,
     wanted: np.ndarray | None,
-) -> Path:
-    """Draws the wanted pictures that are missing; returns where they are."""
+) -> None:
+    """Draws the wanted pictures that are missing or damaged."""
     layout = Layout.of(demos)
-    part = _Part(path, (layout.total, resolution, resolution, 3))
     wanted = np.ones(layout.total, bool) if wanted is None else wanted
-    missing = np.flatnonzero(wanted & ~part.drawn)
+    missing = cache.begin(cache.damaged(wanted), wanted)
     if len(missing):
-        part.make_room(len(missing))
         episodes = demos.episodes
         groups = [
             rows[i : i + PICTURES_AT_ONCE]
@@ -144,9 +129,9 @@ def _render(
         drawn = _draw(demos.header, resolution, map(view, groups), len(groups))
         with progress(console, "rendering", total, done=total - len(missing)) as advance:
             for rows, pictures in zip(groups, drawn, strict=True):
-                part.write(rows, pictures)
+                cache.write(rows, pictures)
                 advance(len(rows))
-    return part.finish()
+    cache.finish()
 
 
 def _draw(
@@ -183,11 +168,6 @@ def _renderer(task_name: str, scene_name: str, resolution: int) -> Painter:
     return make_painter(task.scene(scene_name), resolution, varied=task.varied)
 
 
-def is_blank(picture: np.ndarray) -> bool:
-    """Whether a picture [H, W, 3] is of one colour: a fault of its renderer."""
-    return not np.ptp(picture, (0, 1)).any()
-
-
 def _draw_view(task: str, scene: str, resolution: int, view: View) -> np.ndarray:
     """Pictures of a view; if some are blank, by another renderer, once."""
     for _ in range(2):
@@ -221,55 +201,3 @@ def views_of(demo: Demo, demos: Demos, resolution: int, which: np.ndarray | None
         K=np.broadcast_to(K, (count, 3, 3)),
         world_from_camera=demos.header.world_from_camera[demo.cameras[camera]],
     )
-
-
-class _Part:
-    """An unfinished cache, and which of its pictures are drawn."""
-
-    def __init__(self, path: Path, shape: tuple[int, ...]) -> None:
-        self.path = path
-        self.part, self._flags = path.with_suffix(".part"), path.with_suffix(".drawn")
-        self._shape, self._size = shape, int(np.prod(shape[1:]))
-        self.drawn = _drawn(self.part, shape[0])
-
-    def make_room(self, count: int) -> None:
-        """Makes sure that there is space for `count` more pictures, and begins the cache.
-
-        Raises:
-            DatasetError: If the disk has too little.
-        """
-        need, free = count * self._size, shutil.disk_usage(self.path.parent).free
-        if free < need * 1.05:
-            raise DatasetError(
-                f"{self.path.parent}: the pictures need {need / 1e9:.2g} GB, but {free / 1e9:.2g} "
-                "GB are free. Choose another --data-dir or a smaller --resolution."
-            )
-        if not self.drawn.any():
-            np.lib.format.open_memmap(self.part, "w+", np.uint8, self._shape)
-            self.drawn.tofile(self._flags)
-
-    def write(self, rows: np.ndarray, pictures: np.ndarray) -> None:
-        """Writes pictures of ascending numbers."""
-        # Not through a map: where the disk is full that kills the process, this raises.
-        try:
-            offset = self.part.stat().st_size - len(self.drawn) * self._size
-            with open(self.part, "r+b") as file:
-                for run in np.split(np.arange(len(rows)), np.flatnonzero(np.diff(rows) > 1) + 1):
-                    file.seek(offset + int(rows[run[0]]) * self._size)
-                    file.write(np.ascontiguousarray(pictures[run]).data)
-            self.drawn[rows] = True
-            with open(self._flags, "r+b") as file:
-                file.seek(int(rows[0]))
-                file.write(self.drawn[rows[0] : rows[-1] + 1].tobytes())
-        except OSError as error:
-            raise DatasetError(
-                f"{self.part}: {error.strerror}. What is rendered is kept; make room and repeat."
-            ) from error
-
-    def finish(self) -> Path:
-        """Gives a complete cache its name; returns where the pictures are."""
-        if not self.drawn.all():
-            return self.part
-        os.replace(self.part, self.path)
-        self._flags.unlink()
-        return self.path

@@ -12,7 +12,7 @@ from jaxcam.config.datasets import CollectConfig, ImportConfig
 from jaxcam.config.names import TaskName
 from jaxcam.data.collection import camera_windows, new_header, with_stair
 from jaxcam.data.demos import Demo, Demos, read_demos
-from jaxcam.data.writer import DemoWriter
+from jaxcam.data.writer import DemoWriter, discard
 from jaxcam.errors import DatasetError
 from jaxcam.files.locks import exclusive
 from jaxcam.files.paths import home
@@ -60,7 +60,7 @@ def write_dataset(
     with exclusive(out, console):
         if out.exists():
             raise DatasetError(f"{out} exists. Choose another --out, or delete it first.")
-        out.with_name(out.name + ".part").unlink(missing_ok=True)  # perhaps of another file
+        discard(out)  # perhaps of another file
         header = new_header(with_stair(like), task, task.scene(config.scene))
         header = replace(header, versions={**header.versions, "imported": about})
         with DemoWriter(out, header) as writer:

@@ -135,3 +135,25 @@ def test_a_grip_that_is_not_where_the_joints_put_it(copy):
     finding = physics_of(copy)["grip"]
     assert finding.mark == "bad"
     assert "within 20 mm" in finding.got
+
+
+def late(file):
+    positions = file["data/demo_0/obs/robot0_eef_pos"]
+    positions[20:] = positions[20:][::-1]
+
+
+def turn(file):
+    """A quarter of a turn about the grip's z."""
+    half = np.sqrt(0.5)
+    for demo in file["data"].values():
+        x, y, z, w = half * demo["obs/robot0_eef_quat"][:].T
+        turned = [x + y, y - x, z + w, w - z]
+        demo["obs/robot0_eef_quat"][...] = np.stack(turned, -1)
+
+
+@pytest.mark.parametrize(("change", "words"), [(late, " mm and 0.0°"), (turn, "and 90.0°")])
+def test_a_grip_that_leaves_the_joints_later_or_is_turned(copy, change, words):
+    spoil(copy, change)
+    finding = physics_of(copy)["grip"]
+    assert finding.mark == "bad"
+    assert words in finding.got

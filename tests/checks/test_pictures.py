@@ -8,7 +8,7 @@ import pytest
 from conftest import PIXELS
 
 from jaxcam.checks.pictures import check_caches
-from jaxcam.data.pictures import load_pictures
+from jaxcam.data.samples import Layout
 
 
 @pytest.fixture
@@ -53,7 +53,7 @@ def test_pictures_that_show_something_else(cached, pictures_of, change, cause):
 
 def test_blank_and_frozen_pictures(cached, pictures_of):
     demos, cache, pictures = cached
-    _, second, third = load_pictures(demos, PIXELS).layout.first[:3]
+    _, second, third = Layout.of(demos).first[:3]
     pictures[0] = 0
     pictures[second:third] = pictures[second]
     pictures.flush()
@@ -90,3 +90,20 @@ def test_of_pictures_drawn_in_part_those_that_are_drawn_are_compared(cached, pic
     _, swapped = pictures_of(demos)
     assert swapped.mark == "bad"
     assert "BGR" in swapped.fix
+
+
+def test_pictures_that_are_not_what_was_drawn(cached, pictures_of, demos, pictures):
+    here, cache, rgb = cached
+    whole, _ = pictures_of(here)
+    assert "they get checksums when they are used" in whole.got
+    (sums,) = (demos.path.parent / "frames").glob(f"*-{PIXELS}px-*.sums")
+    shutil.copy(sums, cache.with_suffix(".sums"))
+    whole, _ = pictures_of(here)
+    assert (whole.mark, "all are what was drawn" in whole.got) == ("good", True)
+    rgb[7, 3, 4, 1] ^= 1
+    rgb.flush()
+    damaged, _ = pictures_of(here)
+    assert damaged.mark == "bad"
+    assert f"1 of {len(rgb)} are not what was drawn" in damaged.got
+    assert damaged.where == f"{cache.name}: demo_0"
+    assert cache.with_suffix(".sums").read_bytes() == sums.read_bytes()

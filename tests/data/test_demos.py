@@ -3,50 +3,19 @@
 import json
 import logging
 import shutil
-import signal
-import subprocess
-import sys
 
 import h5py
 import numpy as np
 import pytest
 from conftest import TINY
+from spoilt import put, unseal
 
-from jaxcam.config.datasets import CollectConfig
-from jaxcam.data.collection import collect, dataset_path
-from jaxcam.data.demos import read_demos
-from jaxcam.data.writer import DemoWriter
-from jaxcam.errors import DatasetError
-from jaxcam.rays import ROTATION_TOLERANCE, stair_cameras
-
-LAYOUT = {
-    "states",
-    "actions",
-    "obs/robot0_eef_pos",
-    "obs/robot0_eef_quat",
-    "obs/robot0_gripper",
-    "start/geom_size",
-    "start/fixtures",
-}
-
-KILLED = """
-import os, signal, sys
-import h5py
 from jaxcam.config.datasets import CollectConfig
 from jaxcam.data.collection import collect
-from jaxcam.data.writer import DemoWriter
-append, create, count = DemoWriter.append, h5py.Group.create_dataset, 0
-def count_and_append(self, index, demo):
-    global count
-    count += 1
-    append(self, index, demo)
-def die_half_way(self, name, *args, **kwargs):
-    if count == 4 and name.startswith("obs"):
-        os.kill(os.getpid(), signal.SIGKILL)
-    return create(self, name, *args, **kwargs)
-DemoWriter.append, h5py.Group.create_dataset = count_and_append, die_half_way
-collect(CollectConfig(demos=4, validation=2, data_dir=sys.argv[1]))
-"""
+from jaxcam.data.contents import ARRAYS, OLD_SEAL, SEAL
+from jaxcam.data.demos import read_demos
+from jaxcam.errors import DatasetError
+from jaxcam.rays import ROTATION_TOLERANCE, stair_cameras
 
 
 @pytest.fixture
@@ -83,7 +52,7 @@ def test_layout_is_robomimics(demos):
                     found.append(key) if isinstance(item, h5py.Dataset) else None
                 )
             )
-            assert set(found) == LAYOUT, name
+            assert set(found) == set(ARRAYS), name
             assert all(group[key].fletcher32 for key in found)
             steps = group.attrs["num_samples"]
             assert group["actions"].shape == (steps, 7)
@@ -97,31 +66,6 @@ def test_layout_is_robomimics(demos):
     assert [d.cameras.tolist() for d in demos.valid] == [[cameras], [cameras + 1]]
     assert len(header.world_from_camera) == cameras + 2
     assert not demos.path.with_name(demos.path.name + ".part").exists()
-
-
-def test_a_killed_collection_ends_as_an_uninterrupted_one(demos, tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-c", KILLED, str(tmp_path)], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == -signal.SIGKILL, done.stderr
-    config = CollectConfig(**TINY, data_dir=str(tmp_path))
-    part = dataset_path(config).with_name(dataset_path(config).name + ".part")
-    assert not dataset_path(config).exists()
-    with DemoWriter(dataset_path(config), demos.header) as writer:
-        assert writer.done == {0, 1, 2}  # the fourth was being written
-        with pytest.raises(DatasetError, match=r"\[3, 4, 5\]"):
-            writer.finish()
-    with h5py.File(part) as file:  # what is on disk is kept, not collected again
-        kept = file["data/demo_1/states"].id.get_chunk_info(0).byte_offset
-    resumed = collect(config)
-    assert resumed.fingerprint == demos.fingerprint
-    with h5py.File(resumed.path) as file:
-        assert file["data/demo_1/states"].id.get_chunk_info(0).byte_offset == kept
-        assert file["data"].attrs["total"] == sum(d.length for d in demos.episodes)
-    for a, b in zip(resumed.episodes, demos.episodes, strict=True):
-        np.testing.assert_array_equal(a.eef_pos, b.eef_pos)
-        np.testing.assert_array_equal(a.eef_quat, b.eef_quat)
-        assert a.seed == b.seed
 
 
 def test_a_complete_dataset_is_read_not_collected(demos, data_dir, monkeypatch):
@@ -214,52 +158,182 @@ def test_another_seed_of_an_episode_breaks_the_seal(copy):
     refused(copy, "damaged: its content is not what was written")
 
 
+CHANGES = {
+    "the grip moved by 5 cm": lambda f: shift(f, "data/demo_1/obs/robot0_eef_pos", 0.05),
+    "the grip in another order": lambda f: reverse(f, "data/demo_1/obs/robot0_eef_pos"),
+    "the grip mirrored": lambda f: scale(f, "data/demo_1/obs/robot0_eef_pos", -1),
+    "a quaternion negated": lambda f: scale(f, "data/demo_1/obs/robot0_eef_quat", -1),
+    "the gripper turned": lambda f: scale(f, "data/demo_5/obs/robot0_gripper", -1),
+    "a larger cube": lambda f: scale(f, "data/demo_0/start/geom_size", 1.01),
+    "another place of the table": lambda f: shift(f, "data/demo_0/start/fixtures", 1e-6),
+    "a state": lambda f: scale(f, "data/demo_0/states", 1 + 1e-9),
+    "a command": lambda f: scale(f, "data/demo_0/actions", 1 + 1e-9),
+    "a camera": lambda f: shift(f, "cameras/world_from_camera", 1e-9),
+    "states of less precision": lambda f: put(
+        f, "data/demo_0/states", f["data/demo_0/states"][:].astype("f4")
+    ),
+    "a mask": lambda f: put(f, "mask/train", [b"demo_5", b"demo_1"]),
+    "no mask": lambda f: f.__delitem__("mask/valid"),
+    "another field of view": lambda f: f["cameras"].attrs.__setitem__("fovy_deg", 46.0),
+    "no field of view": lambda f: f["cameras"].attrs.__delitem__("fovy_deg"),
+    "another length": lambda f: f["data/demo_1"].attrs.__setitem__("num_samples", 3),
+    "another total": lambda f: f["data"].attrs.__setitem__("total", 3),
+    "other settings of robomimic": lambda f: f["data"].attrs.__setitem__("env_args", "{}"),
+    "other versions": lambda f: f["data"].attrs.__setitem__(
+        "jaxcam", f["data"].attrs["jaxcam"].replace("numpy", "numpi")
+    ),
+}
+
+
+def shift(file, name, by):
+    file[name][...] += by
+
+
+def scale(file, name, by):
+    file[name][...] *= by
+
+
+def reverse(file, name):
+    file[name][...] = file[name][:][::-1]
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_whatever_is_changed_breaks_the_seal(copy, change):
+    with h5py.File(copy, "r+") as file:
+        CHANGES[change](file)
+    refused(copy, "damaged: its content is not what was written")
+
+
+def test_a_file_of_0_1_has_its_own_seal_only(copy, demos):
+    """It is read, and what that seal covers is still checked."""
+    with h5py.File(copy, "r+") as file:
+        del file["data"].attrs[SEAL]
+    assert read_demos(copy).fingerprint == demos.fingerprint
+    with h5py.File(copy, "r+") as file:
+        shift(file, "data/demo_1/actions", 1e-3)
+    refused(copy, rf"damaged: .* \({OLD_SEAL}\)")
+
+
+IMPOSSIBLE = {
+    "a size that is none": (
+        lambda f: f["data/demo_1/start/geom_size"].__setitem__((0, 0), np.nan),
+        "non-finite geom_size",
+    ),
+    "a negative size": (
+        lambda f: scale(f, "data/demo_1/start/geom_size", -1), "geom_size that is not positive",
+    ),
+    "no size": (
+        lambda f: scale(f, "data/demo_1/start/geom_size", 0), "geom_size that is not positive",
+    ),
+    "infinite fixtures": (
+        lambda f: shift(f, "data/demo_1/start/fixtures", np.inf), "non-finite fixtures",
+    ),
+    "a table without an orientation": (
+        lambda f: f["data/demo_1/start/fixtures"].__setitem__((0, slice(3, 7)), 0),
+        "fixtures whose quaternions",
+    ),
+    "fixtures of another task": (
+        lambda f: put(f, "data/demo_1/start/fixtures", np.tile([0, 0, 0, 1.0, 0, 0, 0], (3, 1))),
+        "fixtures has 3 rows, but in lift it has 2",
+    ),
+    "sizes of another task": (
+        lambda f: put(f, "data/demo_1/start/geom_size", np.zeros((0, 3))),
+        "geom_size has 0 rows",
+    ),
+    "sizes of another shape": (
+        lambda f: put(f, "data/demo_1/start/geom_size", np.ones(3)),
+        r"geom_size is \[3\], expected \[any, 3\]",
+    ),
+    "far away": (
+        lambda f: f["data/demo_1/states"].__setitem__((4, 11), 1e30), "states beyond 10000",
+    ),
+    "a command far away": (
+        lambda f: f["data/demo_1/actions"].__setitem__((4, 1), -1e30), "actions beyond 10000",
+    ),
+    "whole numbers": (
+        lambda f: put(f, "data/demo_1/states", f["data/demo_1/states"][:].astype(int)),
+        "states is int64, expected floating-point",
+    ),
+    "text": (
+        lambda f: put(f, "data/demo_1/obs/robot0_gripper",
+                      f["data/demo_1/obs/robot0_gripper"][:].astype("S8")),
+        "gripper is .*expected floating-point",
+    ),
+    "a cube without an orientation": (
+        lambda f: f["data/demo_1/states"].__setitem__((4, slice(13, 17)), 0),
+        "states whose quaternions have not length 1: 1 of .*at step 4",
+    ),
+    "a cube's quaternion of another length": (
+        lambda f: f["data/demo_1/states"].__setitem__((slice(None), slice(13, 17)), 0.6),
+        "states whose quaternions",
+    ),
+    "a grip without an orientation": (
+        lambda f: scale(f, "data/demo_1/obs/robot0_eef_quat", 0), "eef_quat whose quaternions",
+    ),
+    "a gripper in millimetres": (
+        lambda f: scale(f, "data/demo_1/obs/robot0_gripper", 40), "gripper beyond -1 to 1",
+    ),
+    "cameras between two": (
+        lambda f: f["data/demo_1"].attrs.__setitem__("cameras", [0.5, 1, 2]),
+        "cameras are float64",
+    ),
+    "half a seed": (
+        lambda f: f["data/demo_1"].attrs.__setitem__("seed", 1.5), "seed is 1.5",
+    ),
+    "cameras of whole numbers": (
+        lambda f: put(f, "cameras/world_from_camera", np.tile(np.eye(4, dtype=int), (8, 1, 1))),
+        "world_from_camera is int64",
+    ),
+    "a group for an array": (
+        lambda f: [f.__delitem__("data/demo_1/actions"), f.create_group("data/demo_1/actions")],
+        "actions is a group",
+    ),
+    "cameras in a group": (
+        lambda f: [f.__delitem__("cameras/world_from_camera"),
+                   f.create_group("cameras/world_from_camera")],
+        "world_from_camera is a group",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", IMPOSSIBLE)
+def test_what_cannot_be_is_refused_without_a_seal_too(copy, case):
+    spoil, words = IMPOSSIBLE[case]
+    with h5py.File(copy, "r+") as file:
+        unseal(file)
+        spoil(file)
+    refused(copy, words)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("task", 3), ("task", "lyft"), ("scene", None), ("scene", "moon"), ("n", "3"), ("m", -1),
+        ("train", 1e9), ("train", 10**12), ("valid", True), ("nq", 1.5), ("nv", [15]),
+        ("seed", "0"), ("fovy_deg", "wide"), ("versions", ["1"]), ("versions", {"jaxcam": 1}),
+        ("surprise", 1),
+    ],
+)  # fmt: skip
+def test_a_header_of_other_kinds_is_refused(copy, name, value):
+    with h5py.File(copy, "r+") as file:
+        unseal(file)
+        about = json.loads(file["data"].attrs["jaxcam"])
+        file["data"].attrs["jaxcam"] = json.dumps({**about, name: value})
+    refused(copy, f"header.*{name}|{name} ")
+
+
+def test_a_header_that_is_a_list(copy):
+    with h5py.File(copy, "r+") as file:
+        file["data"].attrs["jaxcam"] = "[1]"
+    refused(copy, "no jaxcam header")
+
+
 def test_cut_demonstration(copy):
     with h5py.File(copy, "r+") as file:
         states = file["data/demo_0/states"][:-1]
         del file["data/demo_0/states"]
         file["data/demo_0"].create_dataset("states", data=states)
     refused(copy, "actions need .* states")
-
-
-def test_unfinished_file_of_other_settings(copy, demos):
-    part = copy.with_name(copy.name + ".part")
-    copy.rename(part)
-    before = part.read_bytes()
-    other = type(demos.header)(**{**demos.header.__dict__, "scene": "fixed", "n": 2})
-    with pytest.raises(DatasetError, match="scene: file randomized, asked fixed, n: file 3, ask"):
-        DemoWriter(copy, other)
-    assert part.read_bytes() == before
-
-
-def test_unfinished_file_that_is_damaged(copy, demos):
-    part = copy.with_name(copy.name + ".part")
-    part.write_bytes(copy.read_bytes()[:5000])
-    with pytest.raises(DatasetError, match=r"unfinished file that cannot be opened.*Delete"):
-        DemoWriter(copy, demos.header)
-    assert part.stat().st_size == 5000
-
-
-def test_two_collectors_do_not_write_one_file(tmp_path, demos):
-    path = tmp_path / "both.hdf5"
-    with DemoWriter(path, demos.header) as first:
-        code = (
-            "import sys, h5py\n"
-            "try: h5py.File(sys.argv[1], 'r+')\n"
-            "except BlockingIOError: print('locked')"
-        )
-        done = subprocess.run(
-            [sys.executable, "-c", code, str(first.part)],
-            capture_output=True, text=True, check=False,
-        )  # fmt: skip
-        assert done.stdout.strip() == "locked", done.stderr
-
-
-def test_a_folder_that_cannot_be_made(tmp_path):
-    (tmp_path / "file").write_text("not a folder")
-    config = CollectConfig(**TINY, data_dir=str(tmp_path / "file" / "data"))
-    with pytest.raises(DatasetError, match=r"Cannot write to .*--data-dir"):
-        collect(config)
 
 
 @pytest.mark.parametrize(
@@ -281,7 +355,7 @@ def test_files_in_other_layouts_are_told_what_to_do_with(tmp_path, make, words):
 
 def test_rounded_rotations_are_made_rotations_again_and_told_once(copy, caplog):
     with h5py.File(copy, "r+") as file:
-        del file["data"].attrs["sha256"]
+        unseal(file)
         poses = file["cameras/world_from_camera"]
         poses[...] = np.round(poses[...], 4)
     with caplog.at_level(logging.WARNING):

@@ -1,5 +1,6 @@
 """The cache of pictures: made once, resumed, and the picture at an index is the one it names."""
 
+import logging
 import shutil
 from collections import namedtuple
 
@@ -8,6 +9,7 @@ import pytest
 from conftest import PIXELS
 
 from jaxcam.data import pictures as pictures_module
+from jaxcam.data.caches import Cache
 from jaxcam.data.pictures import load_pictures
 from jaxcam.errors import DatasetError, SimError
 from jaxcam.rays import Camera
@@ -28,7 +30,135 @@ def elsewhere(demos, tmp_path):
 
 def pictures_in(demos):
     folder = demos.path.parent / "frames"
-    return sorted(p.name for p in folder.iterdir() if p.suffix != ".lock")
+    return sorted(p.name for p in folder.iterdir() if p.suffix not in (".lock", ".sums"))
+
+
+@pytest.fixture
+def cached(elsewhere, demos, pictures):
+    """The demonstrations in another folder with their pictures: dataset, cache, writable array."""
+    (folder := elsewhere.path.parent / "frames").mkdir()
+    for source in (demos.path.parent / "frames").glob(f"*-{PIXELS}px-*"):
+        if source.suffix in (".npy", ".sums"):
+            shutil.copy(source, folder)
+    (cache,) = folder.glob("*.npy")
+    return elsewhere, cache, np.lib.format.open_memmap(cache, "r+")
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Numbers of pictures that are drawn, group by group."""
+    draw, counts = pictures_module._draw, []
+
+    def counting(*args):
+        for pictures in draw(*args):
+            counts.append(len(pictures))
+            yield pictures
+
+    monkeypatch.setattr(pictures_module, "_draw", counting)
+    return counts
+
+
+def flip_a_bit(rgb):
+    rgb[7, 3, 4, 1] ^= 1
+
+
+def blacken(rgb):
+    rgb[3:6] = 0
+
+
+def shifted(rgb):
+    rgb[20:30] = rgb[19:29].copy()
+
+
+DAMAGES = {"a bit": (flip_a_bit, 1), "black": (blacken, 3), "shifted": (shifted, None)}
+
+
+@pytest.mark.parametrize("kind", ["complete", "in part"])
+@pytest.mark.parametrize("case", DAMAGES)
+def test_pictures_that_are_not_what_was_drawn_are_drawn_again_and_told(
+    cached, pictures, drawn, caplog, case, kind
+):
+    demos, cache, rgb = cached
+    damage, count = DAMAGES[case]
+    total = len(rgb)
+    damage(rgb)
+    rgb.flush()
+    if kind == "in part":
+        cache.rename(cache.with_suffix(".part"))
+        np.ones(total, bool).tofile(cache.with_suffix(".drawn"))
+    np.testing.assert_array_equal(load_pictures(demos, PIXELS).rgb, pictures.rgb)
+    assert sum(drawn) == (count or sum(drawn))
+    assert 0 < sum(drawn) <= 10
+    assert f"{sum(drawn)} of {total} pictures are not what was drawn" in caplog.text
+    caplog.clear()
+    np.testing.assert_array_equal(load_pictures(demos, PIXELS).rgb, pictures.rgb)
+    assert not caplog.records
+    assert cache.exists()
+
+
+def test_only_damage_to_what_is_looked_at_is_mended(cached, drawn):
+    demos, _, rgb = cached
+    flip_a_bit(rgb)
+    rgb.flush()
+    wanted = np.ones(len(rgb), bool)
+    wanted[7] = False
+    load_pictures(demos, PIXELS, wanted=wanted)
+    assert drawn == []
+    load_pictures(demos, PIXELS, wanted=~wanted)
+    assert drawn == [1]
+
+
+def test_checksums_that_are_damaged_have_pictures_drawn_again(cached, pictures, drawn):
+    demos, cache, _ = cached
+    sums = cache.with_suffix(".sums")
+    content = sums.read_bytes()
+    sums.write_bytes(content[:-8])
+    np.testing.assert_array_equal(load_pictures(demos, PIXELS).rgb, pictures.rgb)
+    assert drawn == [2]
+    assert sums.read_bytes() == content
+
+
+@pytest.mark.parametrize("kind", ["complete", "in part"])
+def test_a_cache_of_0_1_gets_its_checksums_once(cached, pictures, drawn, caplog, kind):
+    demos, cache, rgb = cached
+    sums = cache.with_suffix(".sums")
+    made = sums.read_bytes()
+    sums.unlink()
+    if kind == "in part":
+        cache.rename(cache.with_suffix(".part"))
+        np.ones(len(rgb), bool).tofile(cache.with_suffix(".drawn"))
+    with caplog.at_level(logging.DEBUG):
+        load_pictures(demos, PIXELS)
+        assert f"made the checksums of {len(rgb)} pictures" in caplog.text
+        assert sums.read_bytes() == made
+        caplog.clear()
+        load_pictures(demos, PIXELS)
+        assert "made the checksums" not in caplog.text
+    assert drawn == []
+
+
+def test_a_note_that_says_drawn_over_black_pictures_is_not_believed(
+    cached, pictures, drawn, caplog
+):
+    """As 0.1.0 left it after a crash of the machine: no checksums, and a hole in the file."""
+    demos, cache, rgb = cached
+    cache.with_suffix(".sums").unlink()
+    rgb[10:] = 0
+    rgb.flush()
+    cache.rename(cache.with_suffix(".part"))
+    np.ones(len(rgb), bool).tofile(cache.with_suffix(".drawn"))
+    np.testing.assert_array_equal(load_pictures(demos, PIXELS).rgb, pictures.rgb)
+    assert sum(drawn) == len(rgb) - 10
+    assert "are not what was drawn" in caplog.text
+
+
+def test_a_note_that_says_drawn_over_an_empty_file_is_not_believed(cached, pictures, caplog):
+    demos, cache, rgb = cached
+    cache.unlink()
+    cache.with_suffix(".part").write_bytes(b"")
+    np.ones(len(rgb), bool).tofile(cache.with_suffix(".drawn"))
+    np.testing.assert_array_equal(load_pictures(demos, PIXELS).rgb, pictures.rgb)
+    assert "0 bytes that cannot be read" in caplog.text
 
 
 def test_cached_pictures_are_fresh_renders_of_state_and_camera(demos, pictures, renderer):
@@ -134,15 +264,15 @@ def test_no_room_on_the_disk(elsewhere, monkeypatch):
 
 
 def test_a_disk_that_fills_up_keeps_what_is_done(elsewhere, pictures, monkeypatch):
-    write = pictures_module._Part.write
+    write = Cache.write
 
     def full(self, rows, pictures):
         if self.drawn[: rows[0]].all() and rows[0] > len(self.drawn) // 2:
-            monkeypatch.setattr(self, "part", self.part.with_name("none") / "full")
+            monkeypatch.setattr(self, "file", self.file.with_name("none") / "full")
         write(self, rows, pictures)
 
     with monkeypatch.context() as patch:
-        patch.setattr(pictures_module._Part, "write", full)
+        patch.setattr(Cache, "write", full)
         with pytest.raises(DatasetError, match="What is rendered is kept"):
             load_pictures(elsewhere, PIXELS)
     np.testing.assert_array_equal(load_pictures(elsewhere, PIXELS).rgb, pictures.rgb)

@@ -6,8 +6,15 @@ import h5py
 
 from jaxcam.checks.dataset import check_physics
 from jaxcam.checks.examine import check_dataset
+from jaxcam.data.contents import OLD_SEAL, SEAL
 from jaxcam.data.demos import read_demos
 from jaxcam.sim import make_task
+
+
+def unseal(file):
+    """Takes both seals off an open dataset."""
+    for seal in (OLD_SEAL, SEAL):
+        del file["data"].attrs[seal]
 
 
 def unsealed(demos, folder):
@@ -15,7 +22,7 @@ def unsealed(demos, folder):
     path = folder / demos.path.name
     shutil.copy(demos.path, path)
     with h5py.File(path, "r+") as file:
-        del file["data"].attrs["sha256"]
+        unseal(file)
     return path
 
 
