@@ -12,7 +12,7 @@ ActionSpace = Literal[
     "eef_delta", "eef_abs", "joint_delta", "joint_abs", "eef_delta_componentwise"
 ]  # fmt: skip
 CommandSource = Literal["commands", "states"]
-ScheduleName = Literal["constant", "cosine"]
+ScheduleName = Literal["constant", "cosine", "cosine_from_start"]
 OptimizerName = Literal["adamw", "adam"]
 Precision = Literal["float32", "bfloat16"]
 LoggerName = Literal["tensorboard", "wandb"]

@@ -14,7 +14,8 @@ from jaxcam.config.commands import WeightsConfig
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import CheckpointError
 from jaxcam.interop.lerobot_layout import config_of, settings_of
-from jaxcam.interop.lerobot_policy import STATISTICS, adopt, export_policy
+from jaxcam.interop.lerobot_pipelines import STATISTICS
+from jaxcam.interop.lerobot_policy import adopt, export_policy
 from jaxcam.models import FAMILIES, PolicySpec, make_policy
 from jaxcam.models.conditioning import with_conditioning
 from jaxcam.models.normalization import (
@@ -62,12 +63,17 @@ def inputs_of(settings, views=1, ensemble=0.0, draw=start):
 
 
 def scaled(inputs):
-    """What its network scales actions and proprioception by."""
+    """What its network sees of some proprioception, and the actions that some outputs become."""
     stats, settings = inputs.stats, FAMILIES[inputs.config.policy].config(**inputs.settings)
+    floors = settings.floors
     if inputs.config.policy == "act":
-        action = action_deviation(stats, settings.action_std_floor)
-        return *action, *proprio_deviation(stats)
-    return *action_range(stats), *proprio_range(stats)
+        action = action_deviation(stats, settings.action_std_floor, floors=floors)
+        proprio = proprio_deviation(stats, floors=floors)
+    else:
+        action = action_range(stats, floors=floors)
+        proprio = proprio_range(stats, floors=floors)
+    outputs = np.linspace(-1, 1, 5, dtype=np.float32)[:, None]
+    return proprio.normalised(stats["proprio_mean"] + outputs), action.raw(outputs)
 
 
 CASES = [
@@ -104,7 +110,7 @@ def test_settings_there_and_back(name):
     back, sizes = settings_of(config, "imagenet")
     assert sizes == spec
     floors = {"action_std_floor": back.action_std_floor} if name == "act" else {}
-    assert back == replace(settings, **floors)
+    assert back == replace(settings, floors=False, **floors)
 
 
 def test_the_original_act_has_a_place_there_but_for_a_head_that_nobody_reads(tmp_path):
