@@ -236,7 +236,8 @@ def main() -> None:
                     record = {"config": dict(usual["config"]) | changes}
                     print(f"{kind} {name}={value}: LeRobot says {error!r:.90}", flush=True)
                 changed = {k: v for k, v in record["config"].items() if v != usual["config"].get(k)}
-                case = {"config": changed, "actions": record.get("actions")}
+                # LeRobot takes some back, such as `use_amp` on a CPU; a file may say so still.
+                case = {"config": changed | changes, "actions": record.get("actions")}
                 if record.get("shapes", usual["shapes"]) != usual["shapes"]:
                     case["shapes"] = record["shapes"]
                 out[kind]["cases"].append({"field": name, **case})

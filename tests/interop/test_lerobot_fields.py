@@ -124,14 +124,14 @@ def close(ours, theirs):
 @pytest.mark.parametrize(("kind", "name", "case"), CASES, ids=[f"{k}-{n}" for k, n, _ in CASES])
 def test_each_setting_is_the_same_or_refused(tmp_path, weights, kind, name, case):
     del name
-    folder = checkpoint(tmp_path, kind, case, weights)
     is_oblong = case["config"].get("crop_shape") == [40, 56]
     if case["actions"] is None or case["field"] in REFUSED[kind] or is_oblong:
+        case = {**case, "shapes": THEIRS[kind]["shapes"]}  # which nobody comes to read
         with pytest.raises((CheckpointError, ConfigError)) as error:
-            read_foreign(folder)
+            read_foreign(checkpoint(tmp_path, kind, case, weights))
         assert case["field"] in str(error.value)
     else:
-        close(actions(folder), case["actions"])
+        close(actions(checkpoint(tmp_path, kind, case, weights)), case["actions"])
 
 
 def test_most_settings_have_a_place_here():
