@@ -14,7 +14,7 @@ ActionSpace = Literal[
 ]  # fmt: skip
 Rotations = Literal["nominal", "world"]
 CommandSource = Literal["commands", "states"]
-ScheduleName = Literal["constant", "cosine"]
+ScheduleName = Literal["constant", "cosine", "cosine_from_start"]
 OptimizerName = Literal["adamw", "adam"]
 Precision = Literal["float32", "bfloat16"]
 LoggerName = Literal["tensorboard", "wandb"]

@@ -103,7 +103,7 @@ PRESETS: dict[tuple[PolicyName, PresetName], Preset] = {
     ("smolvla", "lerobot"): Preset(
         conditioning="none", precision="bfloat16", resolution=256,
         steps=30_000, batch=64, lr=1e-4, weight_decay=1e-10, clip_norm=10.0,
-        beta2=0.95, schedule="cosine", warmup=1000, final_lr=2.5e-6, crop_min=1.0,
+        beta2=0.95, schedule="cosine_from_start", warmup=1000, final_lr=2.5e-6, crop_min=1.0,
         log_every=200, eval_every=3000, save_every=3000,
     ),
     # For tests: the paper's form, small enough for a CPU, without a tokenizer.

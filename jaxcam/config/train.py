@@ -73,7 +73,8 @@ class TrainConfig:
     lr: FromPreset[float] = PRESET
     """Learning rate at its peak."""
     schedule: FromPreset[ScheduleName] = PRESET
-    """How the learning rate goes on after the warm-up."""
+    """Course of the learning rate after the warm-up: constant, a cosine that begins there, or the
+    rest of one that began with the first update (LeRobot's SmolVLA)."""
     warmup: FromPreset[int] = PRESET
     """Updates over which the learning rate rises to its peak."""
     final_lr: FromPreset[float] = PRESET

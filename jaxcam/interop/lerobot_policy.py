@@ -1,14 +1,14 @@
 """A run's policy as a LeRobot checkpoint (version 0.4.4), and a LeRobot checkpoint as a run.
 
 Such a checkpoint is a folder: `model.safetensors`, `config.json`, and two pipelines that scale what
-goes into the network and what comes out of it. What fits, `jaxcam.interop.lerobot_layout` knows.
+goes into the network and what comes out of it (`jaxcam.interop.lerobot_pipelines`). What fits,
+`jaxcam.interop.lerobot_layout` knows.
 """
 
-import json
 import os
 import shutil
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +18,25 @@ import numpy as np
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import CheckpointError
 from jaxcam.interop.lerobot_layout import (
-    ACTION,
     COUNTERPARTS,
+    Counterpart,
+    check_type,
+    config_of,
+    settings_of,
+)
+from jaxcam.interop.lerobot_pipelines import (
+    ACTION,
+    BEFORE,
     IMAGE,
     SCALINGS,
     STATE,
-    Counterpart,
-    config_of,
-    settings_of,
+    STATISTICS,
+    image_scaling_of,
+    read_json,
+    safetensors_numpy,
+    stats_of,
+    write_json,
+    write_pipelines,
 )
 from jaxcam.models import FAMILIES, Params, PolicySpec, make_policy
 from jaxcam.models.act.transformer import sine_table
@@ -35,12 +46,12 @@ from jaxcam.models.normalization import (
     proprio_deviation,
     proprio_range,
 )
-from jaxcam.models.weights.load import load, read_weights, record_weights, to_torch
+from jaxcam.models.weights.load import Weights, load, read_weights, record_weights, to_torch
 from jaxcam.models.weights.names import MAPS
 from jaxcam.models.weights.names_robot import Arrays
 from jaxcam.runs.folder import RunDir
 from jaxcam.runs.identity import resolve
-from jaxcam.sim.actions import action_dim
+from jaxcam.sim.actions import action_dim, is_delta
 from jaxcam.sim.world import PROPRIO_DIM
 from jaxcam.training.checkpoint import Checkpoints, PolicyInputs
 from jaxcam.training.side import make_side
@@ -48,17 +59,30 @@ from jaxcam.training.state import init_state, make_optimizer
 
 VERSION = "0.4.4"
 """LeRobot's version whose layout this is."""
-STATISTICS = ("mean", "std", "min", "max")
 ABOUT = ("task", "scene", "action_space", "rotations")
 """The settings that an export of ours tells beside LeRobot's, in `jaxcam.json`."""
 
 
-def export_policy(inputs: PolicyInputs, out: Path) -> None:
+DELTAS_AVERAGED = (
+    "Temporal ensembling: LeRobot averages deltas as they were predicted for a step, jaxcam the "
+    "absolute targets that they lead to. The same network moves in another way there than here."
+)
+
+BATCH_NORMS = (
+    "Batch norms: acting is the same. Trained further, LeRobot's follow the batches, while here "
+    "they stay as they are."
+)
+
+
+def export_policy(inputs: PolicyInputs, out: Path) -> list[str]:
     """Write a run's policy as a LeRobot checkpoint.
 
     Args:
         inputs: From `jaxcam.training.checkpoint.load_policy_inputs`.
         out: Folder, which must not exist.
+
+    Returns:
+        What is not the same there as it is here, in sentences.
 
     Raises:
         CheckpointError: LeRobot's network has no place for this policy, or `out` exists.
@@ -76,14 +100,25 @@ def export_policy(inputs: PolicyInputs, out: Path) -> None:
     shutil.rmtree(part, ignore_errors=True)
     try:
         part.mkdir(parents=True)
-        _save(part / "model.safetensors", arrays)
-        _write(part / "config.json", config)
-        _write_pipelines(part, config, scales)
+        safetensors_numpy().save_file(arrays, part / "model.safetensors")
+        write_json(part / "config.json", config)
+        write_pipelines(part, config, scales)
         about = {k: getattr(inputs.config, k) for k in ABOUT}
-        _write(part / "jaxcam.json", about | {"step": inputs.step})
+        write_json(part / "jaxcam.json", about | {"step": inputs.step})
         os.replace(part, out)
     except OSError as error:
         raise CheckpointError(f"{part}: {error.strerror or error}. Make room, repeat.") from error
+    notes = []
+    if inputs.config.ensemble and is_delta(inputs.config.action_space):
+        notes.append(DELTAS_AVERAGED)
+    if settings.compute_dtype != "float32":
+        notes.append(
+            f"The run computes in {settings.compute_dtype}, LeRobot in float32, so that actions "
+            "differ by rounding. Weights are float32 in both places."
+        )
+    if getattr(settings, "norm", "") == "frozen" and name == "diffusion":
+        notes.append(BATCH_NORMS)
+    return notes
 
 
 def _arrays(counterpart: Counterpart, settings: Any, spec: PolicySpec, params: Params) -> Arrays:
@@ -93,13 +128,16 @@ def _arrays(counterpart: Counterpart, settings: Any, spec: PolicySpec, params: P
     for name, array in arrays.items():
         if name.endswith(("img_feat_input_proj.weight", "pool.nets.weight")):
             arrays[name] = array[..., None, None]  # there a 1x1 convolution
-    if counterpart.prefix == "model.":
-        arrays["vae_encoder_pos_enc"] = sine_table(spec.chunk + 2, settings.width)[None]
     sides = (settings.crop,) * 2 if getattr(settings, "crop", 0) else (spec.height, spec.width)
     y, x = (np.linspace(-1, 1, -(-side // 32)) for side in sides)
     for name in [n for n in arrays if n.endswith("pool.nets.weight")]:
         grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2).astype(np.float32)
         arrays[name.replace("nets.weight", "pos_grid")] = grid
+    if counterpart.prefix == "model.":
+        arrays["vae_encoder_pos_enc"] = sine_table(spec.chunk + 2, settings.width)[None]
+    else:  # their batch norms are not frozen there, and count what they have seen
+        for norm in [n.removesuffix("running_var") for n in arrays if n.endswith("running_var")]:
+            arrays[norm + "num_batches_tracked"] = np.zeros((), np.int64)
     return {counterpart.prefix + name: np.ascontiguousarray(x) for name, x in arrays.items()}
 
 
@@ -108,12 +146,14 @@ def _scales(name: str, settings: Any, spec: PolicySpec, stats: Mapping[str, np.n
     found = {}
     for feature, ours in ((ACTION, "action"), (STATE, "proprio")):
         values = {k: np.asarray(stats[f"{ours}_{k}"], np.float32) for k in STATISTICS}
-        if name == "act":
+        if not settings.floors:
+            pass  # LeRobot's own, which it scales by as they are
+        elif name == "act":
             floor = settings.action_std_floor
             action, proprio = action_deviation(stats, floor), proprio_deviation(stats)
             values["std"] = (action if ours == "action" else proprio).size
         else:
-            middle, half = action_range(stats) if ours == "action" else proprio_range(stats)
+            middle, half, _ = action_range(stats) if ours == "action" else proprio_range(stats)
             values |= {"min": middle - half, "max": middle + half}
         found |= {f"{feature}.{k}": v for k, v in values.items()}
     mean, std = (x.reshape(3, 1, 1) for x in SCALINGS[settings.image_scaling])
@@ -123,148 +163,137 @@ def _scales(name: str, settings: Any, spec: PolicySpec, stats: Mapping[str, np.n
     return found
 
 
-def _write_pipelines(folder: Path, config: dict[str, Any], arrays: Arrays) -> None:
-    """What LeRobot does before and after the network."""
-    device = _step("device_processor", device="cpu", float_dtype=None)
-    scaled = {"eps": 1e-8, "norm_map": config["normalization_mapping"]}
-    out = config["output_features"]
-    pipelines = {
-        "policy_preprocessor": [
-            _step("rename_observations_processor", rename_map={}),
-            _step("to_batch_processor"),
-            device,
-            _step("normalizer_processor", features=config["input_features"] | out, **scaled),
-        ],
-        "policy_postprocessor": [
-            _step("unnormalizer_processor", features=out, **scaled),
-            device,
-        ],
-    }
-    for name, steps in pipelines.items():
-        for i, step in enumerate(steps):
-            if "norm_map" in step["config"]:
-                step["state_file"] = f"{name}_step_{i}_{step['registry_name']}.safetensors"
-                _save(folder / step["state_file"], arrays)
-        _write(folder / f"{name}.json", {"name": name, "steps": steps})
+@dataclass(frozen=True)
+class Foreign:
+    """A LeRobot checkpoint in our terms.
+
+    Attributes:
+        policy: Name of our policy.
+        settings: Of the policy.
+        spec: Its sizes.
+        stats: What it scales by.
+        params: Its weights.
+        weights: The file that these come from.
+        ensemble: Rate of temporal ensembling, 0 is off.
+        notes: What is not the same here as it is there, in sentences.
+    """
+
+    policy: str
+    settings: Any
+    spec: PolicySpec
+    stats: Arrays
+    params: Params
+    weights: Weights
+    ensemble: float
+    notes: list[str]
 
 
-def _step(name: str, **config: Any) -> dict[str, Any]:
-    return {"registry_name": name, "config": config}
+def read_foreign(folder: Path, config: TrainConfig | None = None) -> Foreign:
+    """Read a LeRobot checkpoint.
 
+    Args:
+        folder: Of the checkpoint.
+        config: Of the run that it is to become, whose sizes it must then have.
 
-def _save(path: Path, arrays: Arrays) -> None:
-    _safetensors().save_file(arrays, path)
-
-
-def _safetensors() -> Any:
-    try:
-        import safetensors.numpy
-    except ImportError as error:
+    Raises:
+        CheckpointError: It is not whole, our network has no place for it, or it does not fit the
+            task.
+    """
+    theirs = read_json(folder / "config.json")
+    if not (folder / f"{BEFORE}.json").exists():
         raise CheckpointError(
-            "LeRobot's checkpoints need the package safetensors: pip install 'jaxcam[smolvla]'"
-        ) from error
-    return safetensors.numpy
+            f"{folder} has no {BEFORE}.json: it is from before LeRobot 0.4, or not whole. LeRobot "
+            "0.4 and later migrate it: python -m lerobot.processor.migrate_policy_normalization "
+            f"--pretrained-path {folder}"
+        )
+    try:
+        counterpart = check_type(theirs)
+        inputs = theirs.get("input_features") or {}
+        images = [k for k, feature in inputs.items() if feature["type"] == "VISUAL"]
+        settings, spec = settings_of(theirs, image_scaling_of(folder, images))
+        sizes = {STATE: spec.proprio_dim, ACTION: spec.action_dim}
+        stats = stats_of(folder, counterpart.scaling, sizes)
+    except CheckpointError as error:
+        raise CheckpointError(f"{folder} cannot be had here: {error}") from error
+    if config is not None:
+        _check_fit(folder, config, spec)
+    weights = read_weights(folder / "model.safetensors")
+    policy = make_policy(settings, spec, stats)
+    params = load(weights, jax.eval_shape(policy.init, jax.random.key(0)))
+    ensemble, notes = theirs.get("temporal_ensemble_coeff") or 0.0, []
+    if images != [IMAGE.format(v) for v in range(spec.views)]:
+        notes.append(f"Its images are taken for our views in this order: {', '.join(images)}.")
+    if ensemble and (config is None or is_delta(config.action_space)):
+        notes.append(DELTAS_AVERAGED)
+    if not theirs.get("use_group_norm", True):
+        notes.append(BATCH_NORMS)
+    name = theirs["type"]
+    return Foreign(name, settings, spec, stats, params, weights, ensemble, notes)
 
 
-def _write(path: Path, content: dict[str, Any]) -> None:
-    path.write_text(json.dumps(content, indent=2) + "\n")
-
-
-def adopt(folder: Path, config: TrainConfig) -> None:
+def adopt(folder: Path, config: TrainConfig) -> list[str]:
     """Make a LeRobot checkpoint a run, whose only checkpoint is of step 0.
 
     Args:
         folder: Of the checkpoint.
         config: Where the run is to be, its task, scene and action space; the rest is the file's.
 
+    Returns:
+        What is not the same here as it is there, in sentences.
+
     Raises:
         CheckpointError: It is not whole, our network has no place for it, or it does not fit the
             task; or the run's folder has checkpoints.
     """
-    theirs = _read_json(folder / "config.json")
-    scales = _read_scales(folder)
-    images = [k for k, f in theirs.get("input_features", {}).items() if f["type"] == "VISUAL"]
-    try:
-        settings, spec = settings_of(theirs, _image_scaling(scales, images))
-    except (CheckpointError, KeyError) as error:
-        raise CheckpointError(f"{folder} cannot be had here: {error}") from error
-    _check_fit(folder, config, spec)
-    stats = {
-        f"{ours}_{k}": scales[f"{feature}.{k}"]
-        for feature, ours in ((ACTION, "action"), (STATE, "proprio"))
-        for k in STATISTICS
-    }
-    file = folder / "model.safetensors"
-    policy = make_policy(settings, spec, stats)
-    weights = read_weights(file)
-    params = load(weights, jax.eval_shape(policy.init, jax.random.key(0)))
-    ensemble = theirs.get("temporal_ensemble_coeff") or 0.0
-    named = {"policy": theirs["type"], "preset": "lerobot", "conditioning": "none"}
-    sizes = {"views": spec.views, "resolution": spec.height, "ensemble": ensemble}
-    config = resolve(replace(config, **named, **sizes, weights=str(file)), accelerator=False)
+    foreign = read_foreign(folder, config)
+    spec, weights = foreign.spec, foreign.weights
+    named = {"policy": foreign.policy, "preset": "lerobot", "conditioning": "none"}
+    sizes = {"views": spec.views, "resolution": spec.height, "ensemble": foreign.ensemble}
+    config = resolve(
+        replace(config, **named, **sizes, weights=str(weights.path)), accelerator=False
+    )
+    policy = make_policy(foreign.settings, spec, foreign.stats)
     with RunDir.open(config) as run, Checkpoints(run.checkpoints) as checkpoints:
         if checkpoints.steps():
             raise CheckpointError(f"{run.path} has checkpoints. Choose another --run-dir.")
         record_weights(run.path, weights)
         optimizer = make_optimizer(config, policy.trained)
-        state = init_state(lambda key: params, optimizer, jax.random.key(0))
+        state = init_state(lambda key: foreign.params, optimizer, jax.random.key(0))
         side = make_side(
-            config, settings=settings, spec=spec, stats=stats, data={"sha256": weights.sha256}
+            config,
+            settings=foreign.settings,
+            spec=spec,
+            stats=foreign.stats,
+            data={"sha256": weights.sha256},
         )
         checkpoints.save(state, side)
+    return foreign.notes
 
 
 def _check_fit(folder: Path, config: TrainConfig, spec: PolicySpec) -> None:
     """Refuses sizes that are not the task's."""
-    for what, found, wanted in (
+    for what, size, wanted in (
         ("actions of", spec.action_dim, action_dim(config.action_space)),
         ("a state of", spec.proprio_dim, PROPRIO_DIM),
-        ("images as high as wide:", spec.height, spec.width),
     ):
-        if found != wanted:
+        if size != wanted:
             raise CheckpointError(
-                f"{folder} has {what} {found}, but {config.task} in {config.action_space} has "
+                f"{folder} has {what} {size}, but {config.task} in {config.action_space} has "
                 f"{wanted}."
             )
+    if spec.height != spec.width:
+        raise CheckpointError(
+            f"{folder} takes images of {spec.height} rows and {spec.width} columns; ours are "
+            "square."
+        )
     if not (folder / "jaxcam.json").is_file():
         return
-    about = TrainConfig.completed(_read_json(folder / "jaxcam.json"))
+    about = TrainConfig.completed(read_json(folder / "jaxcam.json"))
     for name in ("action_space", "rotations"):
-        found, wanted = about.get(name, getattr(config, name)), getattr(config, name)
-        if found != wanted:
+        given, wanted = about.get(name, getattr(config, name)), getattr(config, name)
+        if given != wanted:
             flag = name.replace("_", "-")
             raise CheckpointError(
-                f"{folder} has {name} {found}, as its jaxcam.json says, not {wanted}: "
-                f"give --{flag} {found}."
+                f"{folder} has {name} {given}, as its jaxcam.json says, not {wanted}: "
+                f"give --{flag} {given}."
             )
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    if not path.is_file():
-        raise CheckpointError(f"{path.parent} is no LeRobot checkpoint: it has no {path.name}.")
-    try:
-        return json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise CheckpointError(f"{path.parent} is no LeRobot checkpoint: {error}.") from error
-
-
-def _read_scales(folder: Path) -> Arrays:
-    """The statistics that its first pipeline scales by."""
-    steps = _read_json(folder / "policy_preprocessor.json")["steps"]
-    file = next((s["state_file"] for s in steps if "normal" in s.get("state_file", "")), "")
-    if not (folder / file).is_file():
-        raise CheckpointError(f"{folder} has no file of statistics '{file}'.")
-    return _safetensors().load_file(folder / file)
-
-
-def _image_scaling(scales: Arrays, images: list[str]) -> str:
-    """Our name for the way all its images are scaled."""
-    for name, (mean, std) in SCALINGS.items():
-        wanted = np.stack([mean, std])
-        found = [[scales[f"{image}.{k}"].ravel() for k in ("mean", "std")] for image in images]
-        if all(np.allclose(pair, wanted, atol=1e-6) for pair in found):
-            return name
-    raise CheckpointError(
-        "It scales images by means and deviations of their own. Those of ImageNet (LeRobot's "
-        "default), 0.5 and 0.5, or 0 and 1 can be had here."
-    )

@@ -13,11 +13,16 @@ from jaxcam.training.checkpoint import load_policy_inputs
 def main(config: WeightsConfig, console: Console) -> None:
     """Runs `python -m jaxcam.weights`."""
     if config.export:
-        export_policy(load_policy_inputs(config.source, config.step), absolute(config.export))
+        inputs = load_policy_inputs(config.source, config.step)
+        notes = export_policy(inputs, absolute(config.export))
         print(f"{config.export}: a LeRobot {VERSION} checkpoint.")
     elif config.run_dir:
         names = ("task", "scene", "action_space", "rotations", "run_dir")
-        adopt(absolute(config.source), TrainConfig(**{k: getattr(config, k) for k in names}))
+        config_of_run = TrainConfig(**{k: getattr(config, k) for k in names})
+        notes = adopt(absolute(config.source), config_of_run)
         print(f"{config.run_dir}: a run. Next: python -m jaxcam.evaluate {config.run_dir}")
     else:
+        notes = []
         show(read_weights(config.source))
+    for note in notes:
+        print(note)

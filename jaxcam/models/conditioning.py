@@ -98,6 +98,9 @@ class VisionConfig(CameraConfig):
     rays do unless the pool is softmax."""
     lift: bool = True
     """Whether a ray keypoint also carries the point of its ray at a height the network chooses."""
+    floors: bool = True
+    """Whether deviations and ranges that nearly vanish are raised to the floors of
+    `jaxcam.models.normalization`, or divided by as they are, as LeRobot does."""
 
     def __post_init__(self) -> None:
         """Refuse names that do not exist."""

@@ -51,6 +51,11 @@ def is_joint(space: str) -> bool:
     return space.startswith("joint")
 
 
+def is_delta(space: str) -> bool:
+    """Whether actions say how far to go from the last target rather than where to."""
+    return "_delta" in space
+
+
 def controller_of(space: str) -> ControllerName:
     """The controller that executes a space's targets."""
     return "joint_position" if is_joint(space) else "osc_pose"

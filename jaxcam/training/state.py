@@ -82,10 +82,15 @@ class Update:
 
 
 def make_schedule(config: TrainConfig) -> optax.Schedule:
-    """Learning rate over updates: linear warm-up, then constant or a cosine to zero."""
+    """Learning rate over updates: linear warm-up, then constant or a cosine to `final_lr`."""
     start = config.lr / (config.warmup + 1)  # Not 0: the first update should count.
     if config.schedule == "constant":
         return optax.warmup_constant_schedule(start, config.lr, config.warmup)
+    if config.schedule == "cosine_from_start":
+        # As LeRobot's: what the warm-up takes, the cosine has done already when it sets in.
+        warmup = optax.linear_schedule(start, config.lr, config.warmup)
+        cosine = optax.cosine_decay_schedule(config.lr, config.steps, config.final_lr / config.lr)
+        return lambda step: jnp.where(jnp.asarray(step) < config.warmup, warmup(step), cosine(step))
     return optax.warmup_cosine_decay_schedule(
         start, config.lr, config.warmup, config.steps, config.final_lr
     )

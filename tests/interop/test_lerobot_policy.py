@@ -7,6 +7,7 @@ from typing import Any
 
 import jax
 import numpy as np
+import places
 import pytest
 from policy_inputs import start
 
@@ -14,7 +15,8 @@ from jaxcam.config.commands import WeightsConfig
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import CheckpointError
 from jaxcam.interop.lerobot_layout import config_of, settings_of
-from jaxcam.interop.lerobot_policy import STATISTICS, adopt, export_policy
+from jaxcam.interop.lerobot_pipelines import STATISTICS
+from jaxcam.interop.lerobot_policy import adopt, export_policy, read_foreign
 from jaxcam.models import FAMILIES, PolicySpec, make_policy
 from jaxcam.models.conditioning import with_conditioning
 from jaxcam.models.normalization import (
@@ -62,12 +64,17 @@ def inputs_of(settings, views=1, ensemble=0.0, draw=start):
 
 
 def scaled(inputs):
-    """What its network scales actions and proprioception by."""
+    """What its network sees of some proprioception, and the actions that some outputs become."""
     stats, settings = inputs.stats, FAMILIES[inputs.config.policy].config(**inputs.settings)
+    floors = settings.floors
     if inputs.config.policy == "act":
-        action = action_deviation(stats, settings.action_std_floor)
-        return *action, *proprio_deviation(stats)
-    return *action_range(stats), *proprio_range(stats)
+        action = action_deviation(stats, settings.action_std_floor, floors=floors)
+        proprio = proprio_deviation(stats, floors=floors)
+    else:
+        action = action_range(stats, floors=floors)
+        proprio = proprio_range(stats, floors=floors)
+    outputs = np.linspace(-1, 1, 5, dtype=np.float32)[:, None]
+    return proprio.normalised(stats["proprio_mean"] + outputs), action.raw(outputs)
 
 
 CASES = [
@@ -104,7 +111,7 @@ def test_settings_there_and_back(name):
     back, sizes = settings_of(config, "imagenet")
     assert sizes == spec
     floors = {"action_std_floor": back.action_std_floor} if name == "act" else {}
-    assert back == replace(settings, **floors)
+    assert back == replace(settings, floors=False, **floors)
 
 
 def test_the_original_act_has_a_place_there_but_for_a_head_that_nobody_reads(tmp_path):
@@ -125,6 +132,8 @@ def test_the_original_act_has_a_place_there_but_for_a_head_that_nobody_reads(tmp
     (settings_for("act", encoder_width=32), "encoder_width is 32, not as width"),
     (settings_for("diffusion", preset="original", crop=0), "features_relu is False, not True"),
     (settings_for("diffusion", chunk=6), "chunk is 6, not a multiple of 4"),
+    (settings_for("diffusion", groups=4), "the last norm has 4 groups"),
+    (settings_for("diffusion", norm="identity"), "norm is identity, not group or frozen"),
     (settings_for("diffusion", preset="laptop", features=8), "encoder is small, not resnet18"),
 ])  # fmt: skip
 def test_what_has_no_place_there_is_told(tmp_path, settings, why):
@@ -132,6 +141,44 @@ def test_what_has_no_place_there_is_told(tmp_path, settings, why):
         export_policy(inputs_of(settings, draw=lambda policy: {}), tmp_path / "out")
     assert why in str(error.value)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["act", "diffusion"])
+def test_every_setting_of_lerobots_is_written_out(name):
+    """Defaults move: in 0.6.1 those of Diffusion Policy's encoder did."""
+    theirs = json.loads((places.GOLDEN / "lerobot_fields.json").read_text())[name]["config"]
+    settings: Any = settings_for(name)
+    spec = PolicySpec(ACTION, PROPRIO, 2, SIDE, SIDE, settings.chunk, settings.obs_steps)
+    assert config_of(settings, spec).keys() == theirs.keys()
+    assert config_of(settings, spec)["pretrained_backbone_weights"] is None
+
+
+def test_batch_norms_and_other_groups_there_and_back(tmp_path):
+    inputs = inputs_of(settings_for("diffusion", norm="frozen", groups=4, last_groups=8))
+    [note] = export_policy(inputs, tmp_path / "out")
+    assert "Batch norms" in note
+    back = read_foreign(tmp_path / "out")
+    assert (back.settings.norm, back.settings.groups, back.settings.last_groups) == ("frozen", 4, 8)
+    for got, expected in zip(
+        jax.tree.leaves(back.params), jax.tree.leaves(inputs.params), strict=True
+    ):
+        np.testing.assert_allclose(got, expected, rtol=1e-6)
+
+
+def test_what_differs_there_is_told(tmp_path):
+    inputs = inputs_of(settings_for("act", compute_dtype="bfloat16"), ensemble=0.01)
+    deltas, rounding = export_policy(inputs, tmp_path / "out")
+    assert "averages deltas" in deltas
+    assert "computes in bfloat16" in rounding
+
+
+def test_oblong_images_are_told(tmp_path):
+    export_policy(inputs_of(settings_for("act")), tmp_path / "out")
+    inputs = json.loads((tmp_path / "out/config.json").read_text())["input_features"]
+    inputs["observation.images.view_0"]["shape"] = [3, 96, 128]
+    edited(tmp_path / "out", input_features=inputs)
+    with pytest.raises(CheckpointError, match="images of 96 rows and 128 columns; ours are square"):
+        adopt(tmp_path / "out", TrainConfig(run_dir=str(tmp_path / "run")))
 
 
 def edited(folder, **changes):

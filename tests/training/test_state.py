@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 
 import jax
 import jax.numpy as jnp
@@ -235,6 +236,16 @@ def test_schedules():
         assert make_schedule(paper)(step) == pytest.approx(2e-5)
     late = make_schedule(dataclasses.replace(paper, warmup=10))
     assert late(0) < late(5) < late(10) == pytest.approx(2e-5)
+
+
+def test_the_cosine_of_lerobots_smolvla_begins_with_the_first_update():
+    config = resolve(TrainConfig(policy="smolvla", preset="lerobot"), accelerator=True)
+    rate, least, peak = make_schedule(config), 2.5e-6, 1e-4
+    assert rate(0) == pytest.approx(peak / 1001, rel=1e-3)  # float32
+    assert rate(500) == pytest.approx(peak * (1 / 1001 + (1 - 1 / 1001) / 2))
+    for step in (1000, 7500, 15_000, 30_000):
+        cosine = (1 + math.cos(math.pi * step / 30_000)) / 2
+        assert rate(step) == pytest.approx(least + (peak - least) * cosine, rel=1e-5)
 
 
 def test_streams_do_not_collide():

@@ -29,8 +29,8 @@ from jaxcam.models.policy import (
 def make_act(config: ActConfig, spec: PolicySpec, stats: Stats) -> Policy:
     """Make ACT's three functions; statistics become constants of them."""
     check_sizes(config.chunk, spec, stats)
-    action_scale = action_deviation(stats, config.action_std_floor)
-    proprio_scale = proprio_deviation(stats)
+    action_scale = action_deviation(stats, config.action_std_floor, floors=config.floors)
+    proprio_scale = proprio_deviation(stats, floors=config.floors)
     init, network = pure(lambda rngs: Act(config, spec, rngs=rngs))
 
     def proprio(obs: Obs) -> jax.Array:

@@ -30,6 +30,8 @@ class DiffusionConfig(VisionConfig):
     crop: int = 0
     """Side in pixels of the square the policy looks at: random in training, else central; 0 is the
     whole image."""
+    crop_random: bool = True
+    """Whether that square is random in training."""
     encoder_per_view: bool = False
     """Whether every view has an image encoder of its own."""
     features: int = 64
@@ -53,6 +55,9 @@ class DiffusionConfig(VisionConfig):
     """Steps that a convolution of the U-Net sees."""
     groups: int = 8
     """Groups of the U-Net's norms."""
+    last_groups: int = 0
+    """Groups of its last norm, 8 in the public implementations whatever the others have; 0 is as
+    many as the others."""
     step_width: int = 128
     """Width of the noising step's embedding."""
     noising_steps: int = 100
@@ -80,6 +85,10 @@ class DiffusionConfig(VisionConfig):
         if any(width % self.groups for width in self.channels):
             raise ConfigError(
                 f"channels {self.channels} are not multiples of groups {self.groups}."
+            )
+        if self.last_groups < 0 or self.channels[0] % (self.last_groups or self.groups):
+            raise ConfigError(
+                f"channels {self.channels[0]} is not a multiple of last_groups {self.last_groups}."
             )
         if not 1 <= self.sample_steps <= self.noising_steps:
             raise ConfigError(

@@ -44,7 +44,8 @@ class Diffusion(nnx.Module):
             if config.keyframe_weight
             else None
         )
-        unet = UNetConfig(config.channels, config.kernel, config.groups, config.step_width)
+        last = config.last_groups or config.groups
+        unet = UNetConfig(config.channels, config.kernel, config.groups, last, config.step_width)
         self.unet = UNet(unet, spec.action_dim, d_global, local, rngs=rngs, dtype=dtype)
 
     def condition(self, obs: Obs, proprio: jax.Array) -> tuple[jax.Array, jax.Array]:

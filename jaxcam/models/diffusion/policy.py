@@ -31,7 +31,8 @@ def make_diffusion(config: DiffusionConfig, spec: PolicySpec, stats: Stats) -> P
         raise ConfigError(
             f"A crop of {config.crop} pixels does not fit in {spec.height}x{spec.width}."
         )
-    action_scale, proprio_scale = action_range(stats), proprio_range(stats)
+    action_scale = action_range(stats, floors=config.floors)
+    proprio_scale = proprio_range(stats, floors=config.floors)
     init, network = pure(lambda rngs: Diffusion(config, spec, rngs=rngs))
     chunk = (config.chunk, spec.action_dim)
 
@@ -41,7 +42,7 @@ def make_diffusion(config: DiffusionConfig, spec: PolicySpec, stats: Stats) -> P
         if config.obs_steps == 1:
             steps = {k: v[:, None] for k, v in steps.items()}
         if config.crop:
-            steps |= window(steps, config.crop, key)
+            steps |= window(steps, config.crop, key if config.crop_random else None)
         proprio = jnp.zeros_like(steps["proprio"]) if config.drop_proprio else steps["proprio"]
         return net.condition(steps, proprio_scale.normalised(proprio))
 

@@ -149,6 +149,8 @@ class UNetConfig:
     """Steps that a convolution sees."""
     groups: int
     """Groups of the norms."""
+    last_groups: int
+    """Groups of the last one."""
     step_width: int
     """Width of the noising step's embedding."""
 
@@ -194,7 +196,8 @@ class UNet(nnx.Module):
         self.middle = Stage(channels[-1], channels[-1], *sizes, rngs=rngs, dtype=dtype)
         self.up = stages((2 * a, b) for a, b in pairwise(channels[::-1]))
         self.grow = nnx.List(Upsample(c, rngs=rngs, dtype=dtype) for c in channels[-2::-1])
-        self.last = ConvBlock(first, first, config.kernel, config.groups, rngs=rngs, dtype=dtype)
+        last = config.last_groups
+        self.last = ConvBlock(first, first, config.kernel, last, rngs=rngs, dtype=dtype)
         self.out = Conv1d(first, d_action, 1, rngs=rngs, dtype=dtype)
 
     def __call__(
