@@ -25,7 +25,6 @@ from jaxcam.devices import check_same, gathered, has_accelerator, is_first, join
 from jaxcam.errors import ConfigError
 from jaxcam.evaluation.checkpoint import Wanted, evaluate
 from jaxcam.evaluation.evaluator import Candidate, Evaluator
-from jaxcam.files.jsonl import read_jsonl
 from jaxcam.files.paths import absolute
 from jaxcam.models import Policy, PolicySpec, Stats, make_policy, policy_settings
 from jaxcam.models.policy import blank_stats
@@ -38,6 +37,7 @@ from jaxcam.results.stats import Estimate
 from jaxcam.runs.folder import RunDir
 from jaxcam.runs.identity import resolve
 from jaxcam.runs.interrupts import interrupts
+from jaxcam.runs.metrics import read_metrics
 from jaxcam.runs.rollouts import read_rows, rows_file
 from jaxcam.sim import make_task
 from jaxcam.sim.actions import action_dim
@@ -201,7 +201,7 @@ def _finish(
         return
     _log_success(run, step, estimate)
     rows = [row for row in read_rows(rows_file(run.path)) if row.step == step]
-    write_plots(run.path / "plots", read_jsonl(run.metrics), rows)
+    write_plots(run.path / "plots", read_metrics(run.path), rows)
     save(ray_picture(*evaluator.sight("test", 0)), run.path / "pictures" / "rays.png")
     report = write_report(run.path)
     if console:
@@ -211,7 +211,7 @@ def _finish(
 
 def _log_success(run: RunDir, step: int, estimate: Estimate) -> None:
     """Writes the result among the metrics, once."""
-    if any(row["step"] == step and "success_rate" in row for row in read_jsonl(run.metrics)):
+    if any(row["step"] == step and "success_rate" in row for row in read_metrics(run.path)):
         return
     rate = {"success_rate": estimate.value, "low": estimate.low, "high": estimate.high}
     run.log({"step": step, **rate, "pairs": estimate.clusters})

@@ -33,18 +33,25 @@ def read_jsonl(path: str | Path) -> list[dict[str, Any]]:
     """Rows of a file of JSON lines; none if it is missing. A torn last line is left out.
 
     Raises:
-        DatasetError: A line before the last one is damaged.
+        DatasetError: A line before the last one is damaged or no object, or the file is none.
     """
     path = Path(path)
     if not path.exists():
         return []
+    if not path.is_file():
+        raise DatasetError(f"{path} is no file.")
     rows = []
-    whole, _, _ = path.read_bytes().rpartition(b"\n")
+    try:
+        whole, _, _ = path.read_bytes().rpartition(b"\n")
+    except OSError as error:
+        raise DatasetError(f"{path} cannot be read: {error.strerror}.") from error
     for number, line in enumerate(whole.splitlines(), start=1):
         try:
             row = json.loads(line)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise DatasetError(f"{path}, line {number}, is damaged: {line[:80]!r}.") from error
+        if not isinstance(row, dict):
+            raise DatasetError(f"{path}, line {number}, has no names with values: {line[:80]!r}.")
         rows.append(row)
     return rows
 

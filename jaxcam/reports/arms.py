@@ -24,6 +24,7 @@ from jaxcam.results.stats import (
     success_rate,
 )
 from jaxcam.runs.identity import Settings, changes, identity, plain, read_config
+from jaxcam.runs.metrics import read_metrics
 from jaxcam.runs.rollouts import read_rows, rows_file
 
 _SHARED = ("task", "scene", "policy", "conditioning")
@@ -223,7 +224,7 @@ def _read_run(folder: Path, split: str) -> Run:
     settings = identity(config) | _ways(rows)
     if config.weights:
         settings["weights"] = _kind_of_weights(folder, config.weights)
-    seconds = training_seconds(read_jsonl(folder / "metrics.jsonl"))
+    seconds = training_seconds(read_metrics(folder))
     return Run(folder.name, folder, settings, config.seed, rows, seconds)
 
 

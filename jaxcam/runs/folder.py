@@ -16,11 +16,12 @@ from typing import Any, Self
 from jaxcam.config.fields import to_json
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
-from jaxcam.files.jsonl import append_jsonl, line_of, read_jsonl, write_atomically
+from jaxcam.files.jsonl import append_jsonl, line_of, write_atomically
 from jaxcam.files.locks import InUseError, NamedLock
 from jaxcam.files.paths import absolute
 from jaxcam.runs.environment import record_environment
 from jaxcam.runs.identity import differences, read_config
+from jaxcam.runs.metrics import read_metrics
 
 MIN_FREE = 500_000_000
 """Bytes that must be free before a run starts."""
@@ -90,8 +91,8 @@ class RunDir:
 
     def rewind(self, step: int) -> None:
         """Drop metrics of later steps, which a run resumed at `step` writes again."""
-        rows = read_jsonl(self.metrics)
-        kept = [row for row in rows if row.get("step", 0) <= step]
+        rows = read_metrics(self.path)
+        kept = [row for row in rows if row["step"] <= step]
         if len(kept) < len(rows):
             write_atomically(self.metrics, "".join(line_of(row) for row in kept))
 

@@ -84,7 +84,11 @@ def read_config(folder: Path) -> TrainConfig:
     Raises:
         ConfigError: Its config.json is damaged.
     """
-    config = from_json(TrainConfig, (folder / "config.json").read_text("utf-8"))
+    file = folder / "config.json"
+    try:
+        config = from_json(TrainConfig, file.read_text("utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{file} cannot be read: {error}.") from error
     # Settings that are newer than the run: it was made with their preset's values.
     return resolve(config, accelerator=False)
 

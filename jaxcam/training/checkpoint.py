@@ -21,9 +21,9 @@ import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
 
-from jaxcam.config.fields import from_json
+from jaxcam.config.fields import as_record, from_json
 from jaxcam.config.train import TrainConfig
-from jaxcam.errors import CheckpointError
+from jaxcam.errors import CheckpointError, ConfigError
 from jaxcam.files.paths import absolute
 from jaxcam.models import FAMILIES, Policy, PolicySpec
 from jaxcam.training.digests import (
@@ -251,9 +251,18 @@ def load_policy_inputs(run_dir: str | Path, step: int | None = None) -> PolicyIn
 
 
 def rebuild_policy(inputs: PolicyInputs) -> Policy:
-    """The policy of a checkpoint, as it was trained."""
+    """The policy of a checkpoint, as it was trained.
+
+    Raises:
+        CheckpointError: Its settings or sizes are not those of such a policy.
+    """
     family = FAMILIES[inputs.config.policy]
-    return family.make(family.config(**inputs.settings), PolicySpec(**inputs.spec), inputs.stats)
+    try:
+        settings = as_record(family.config, inputs.settings, "policy's settings")
+        spec = as_record(PolicySpec, inputs.spec, "policy's sizes")
+    except ConfigError as error:
+        raise CheckpointError(f"Checkpoint {inputs.step} is of another version: {error}") from error
+    return family.make(settings, spec, inputs.stats)
 
 
 def checkpoint_steps(run_dir: str | Path) -> list[int]:

@@ -9,6 +9,7 @@ them, the manifest alone is what arrays are held against.
 import hashlib
 import json
 import logging
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -17,9 +18,11 @@ import jax
 import numpy as np
 import orbax.checkpoint as ocp
 
-from jaxcam.errors import CheckpointError
+from jaxcam.config.fields import as_record
+from jaxcam.errors import CheckpointError, ConfigError
 from jaxcam.files.jsonl import write_atomically
 from jaxcam.files.paths import absolute
+from jaxcam.training.manifest import Files, check_manifest, read_object
 
 FILES = "files.json"
 """File of a checkpoint with the digests of all its others."""
@@ -64,6 +67,11 @@ def seal(content: dict[str, Any]) -> dict[str, Any]:
     return {**content, "sha256": hashlib.sha256(text.encode()).hexdigest()}
 
 
+def without_seal(content: Mapping[str, Any]) -> dict[str, Any]:
+    """The content that `seal` was given."""
+    return {name: value for name, value in content.items() if name != "sha256"}
+
+
 def alone() -> ocp.options.MultiprocessingOptions:
     """Orbax's options for a process that reads and writes without waiting for others."""
     index = jax.process_index()
@@ -92,9 +100,9 @@ def _check_files(folder: Path, item: str) -> None:
     if not (folder / FILES).exists():
         return
     try:
-        stored = json.loads((folder / FILES).read_text())
-        files = stored["files"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        stored = read_object(folder / FILES)
+        files = as_record(Files, without_seal(stored), FILES).files
+    except ConfigError as error:
         raise DamagedError(f"{FILES} cannot be read ({brief(error)})") from error
     if stored != seal({"files": files}):
         raise DamagedError(f"{FILES} has changed since it was written")
@@ -111,9 +119,11 @@ def _check_files(folder: Path, item: str) -> None:
 def _read_manifest(folder: Path) -> dict[str, Any]:
     _check_files(folder, "manifest")
     try:
-        manifest = json.loads((folder / "manifest" / "metadata").read_text())
-        content = {k: manifest[k] for k in ("step", "side", "leaves")}
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        manifest = read_object(folder / "manifest" / "metadata")
+        content = without_seal(manifest)
+        check_manifest(content)
+        from_plain(content["side"])
+    except (ConfigError, ValueError, TypeError) as error:  # Arrays in the side may be none.
         raise DamagedError(f"its manifest cannot be read ({brief(error)})") from error
     if manifest != seal(content):
         raise DamagedError("its manifest has changed since it was written")
@@ -136,7 +146,10 @@ def _read_item(folder: Path, item: str, described: Mapping[str, list[Any]]) -> d
         raise DamagedError(f"{item} cannot be read ({brief(error)})") from error
     leaves = {}
     for name, (dtype, shape, digest) in described.items():
-        leaf = arrays.get(name) if name in stored else np.zeros(shape, dtype)
+        try:
+            leaf = arrays.get(name) if name in stored else np.zeros(shape, dtype)
+        except (ValueError, TypeError) as error:
+            raise DamagedError(f"{name} is described as {dtype!r}, {shape}") from error
         if leaf is None or describe(leaf) != [dtype, shape, digest]:
             raise DamagedError(f"{name} has changed since it was written")
         leaves[name] = leaf
@@ -170,7 +183,8 @@ def steps_in(directory: Path) -> list[int]:
     """Steps that have a checkpoint in a folder of them, oldest first."""
     if not directory.is_dir():
         return []
-    return sorted(int(p.name) for p in directory.iterdir() if p.name.isdigit())
+    names = (path.name for path in directory.iterdir())
+    return sorted(int(name) for name in names if re.fullmatch("0|[1-9][0-9]*", name))
 
 
 def newest_whole(directory: Path, read: Read) -> tuple[dict[str, Any], dict[str, Any], list[int]]:
