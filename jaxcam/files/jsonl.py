@@ -51,7 +51,8 @@ def read_jsonl(path: str | Path) -> list[dict[str, Any]]:
         except (ValueError, RecursionError) as error:
             raise DatasetError(f"{path}, line {number}, is damaged: {line[:80]!r}.") from error
         if not isinstance(row, dict):
-            raise DatasetError(f"{path}, line {number}, has no names with values: {line[:80]!r}.")
+            wanted = "expected names with values"
+            raise DatasetError(f"{path}, line {number}: {wanted}, got {line[:80]!r}.")
         rows.append(row)
     return rows
 

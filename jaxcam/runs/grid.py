@@ -50,7 +50,7 @@ class _File:
     runs_dir: str
     runs: list[Any]
     title: str | None = None
-    protocol: str | None = None
+    protocol: Any = None
     settings: dict[str, Any] | None = None
     slurm: dict[str, Any] | None = None
 
