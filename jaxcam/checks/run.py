@@ -11,7 +11,6 @@ from rich.console import Console
 from jaxcam.checks.evaluations import check_evaluations
 from jaxcam.checks.findings import Finding, bad, good, note
 from jaxcam.config.datasets import CollectConfig
-from jaxcam.config.fields import from_json
 from jaxcam.config.train import TrainConfig
 from jaxcam.console.progress import progress
 from jaxcam.console.words import some
@@ -21,8 +20,10 @@ from jaxcam.errors import JaxcamError
 from jaxcam.files.jsonl import read_jsonl
 from jaxcam.files.paths import absolute, home
 from jaxcam.runs.environment import environment
+from jaxcam.runs.identity import stored_config, unlike
+from jaxcam.runs.manifests import DamagedError
 from jaxcam.training.checkpoint import checkpoint_steps
-from jaxcam.training.digests import DamagedError, read_all
+from jaxcam.training.digests import read_all
 from jaxcam.training.side import CONVENTION
 
 LEAST_GOOD = 0.9
@@ -47,21 +48,22 @@ def check_run(folder: Path, console: Console | None = None) -> Iterator[Finding]
         console: For progress; silent when None.
     """
     try:
-        config = from_json(TrainConfig, (folder / "config.json").read_text("utf-8"))
-    except (JaxcamError, OSError, UnicodeDecodeError) as error:
+        config = stored_config(folder)
+    except JaxcamError as error:
         yield bad(
             "configuration",
             got=str(error),
             where="config.json",
             fix=(
-                "Checkpoints hold a copy: python -m jaxcam.evaluate still works. To go "
-                "on training, restore the file."
+                "Checkpoints hold a copy of the settings, in manifest/metadata: restore the "
+                "file from there."
             ),
         )
         return
     what = f"{config.policy} on {config.task}, {config.scene}; {config.conditioning}"
     yield good("configuration", got=f"{what}, seed {config.seed}")
     checkpoints = _verify(folder, console)
+    yield from _misfits(config, checkpoints)
     yield from _checkpoints(checkpoints)
     yield from _set_aside(folder)
     yield _dataset(folder, config, checkpoints)
@@ -83,6 +85,19 @@ def _verify(folder: Path, console: Console | None) -> Verified:
                 verified.damaged[step] = str(error)
             advance()
     return verified
+
+
+def _misfits(config: TrainConfig, verified: Verified) -> Iterator[Finding]:
+    """Whether config.json is what the checkpoints were trained with."""
+    for step, side in verified.sides.items():
+        if misfits := unlike(config, side):
+            yield bad(
+                "configuration",
+                got="; ".join(misfits),
+                expected="what the checkpoint was trained with",
+                where=f"config.json and step {step}",
+                fix="One of them is of another run, or was edited: restore it.",
+            )
 
 
 def _checkpoints(verified: Verified) -> Iterator[Finding]:

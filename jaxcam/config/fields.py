@@ -39,7 +39,7 @@ def from_json(kind: type[C], text: str) -> C:
     """
     try:
         values = json.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigError(f"The configuration is not JSON: {error}.") from error
     if not isinstance(values, dict):
         raise ConfigError(f"The configuration is a JSON {type(values).__name__}, not an object.")
@@ -70,7 +70,7 @@ def overrides(pairs: Iterable[str]) -> dict[str, Any]:
             raise ConfigError(f"model: '{name}' is given twice.")
         try:
             values[name] = ast.literal_eval({"true": "True", "false": "False"}.get(text, text))
-        except (ValueError, SyntaxError):
+        except (ValueError, SyntaxError, RecursionError, MemoryError):
             values[name] = text
     return values
 
@@ -90,13 +90,17 @@ def with_overrides(settings: C, pairs: Iterable[str]) -> C:
     for name in values:
         if name not in known:
             raise ConfigError(f"model: unknown setting '{name}'{closest(name, known)}.")
-    changed = dataclasses.replace(settings, **values)
-    check_types(changed, where="model: ")
-    return changed
+    # Types first: the settings' own checks compute with them.
+    hints = typing.get_type_hints(type(settings))
+    for name, value in values.items():
+        _check_type("model: ", name, value, hints[name])
+    return dataclasses.replace(settings, **values)
 
 
 def check_types(config: Settings, where: str = "") -> None:
     """Refuses values whose type is not the annotated one, and names that are unknown.
+
+    Numbers are finite and have at most 64 bits, and no text has a zero byte, which no path can.
 
     Args:
         config: Settings.
@@ -106,14 +110,39 @@ def check_types(config: Settings, where: str = "") -> None:
         ConfigError: There is such a value; of a name the message has the closest that is known.
     """
     for field, hint in typing.get_type_hints(type(config)).items():
-        value = getattr(config, field)
-        kinds = _kinds(hint)
-        is_number = type(value) is int and float in kinds
-        if object not in kinds and type(value) not in kinds and not is_number:
-            wanted = " or ".join(k.__name__ for k in kinds)
-            raise ConfigError(f"{where}{field} must be {wanted}, got {value!r}.")
-        if names := names_of(hint):
-            _check_names(f"{where}Unknown {field}", value, names)
+        if typing.get_origin(hint) is not ClassVar:
+            _check_type(where, field, getattr(config, field), hint)
+
+
+def _check_type(where: str, field: str, value: Any, hint: Any) -> None:
+    kinds = _kinds(hint)
+    is_number = type(value) is int and float in kinds
+    if object not in kinds and type(value) not in kinds and not is_number:
+        wanted = " or ".join(k.__name__ for k in kinds)
+        raise ConfigError(f"{where}{field} must be {wanted}, got {_brief(value)}.")
+    if type(value) is int and abs(value) >= 2**63:
+        raise ConfigError(f"{where}{field} has more than 64 bits: {_brief(value)}.")
+    if type(value) is float and not math.isfinite(value):
+        raise ConfigError(f"{where}{field} must be finite, got {value}.")
+    if type(value) is str and "\0" in value:
+        raise ConfigError(f"{where}{field} has a zero byte: {_brief(value)}.")
+    if isinstance(value, tuple) and (kinds_inside := typing.get_args(hint)):
+        items = cast("tuple[Any, ...]", value)
+        inside = kinds_inside[:1] * len(items) if kinds_inside[-1] is ... else kinds_inside
+        if len(inside) != len(items):
+            raise ConfigError(f"{where}{field} must be {len(inside)} values, got {_brief(value)}.")
+        for item, kind in zip(items, inside, strict=True):
+            _check_type(where, field, item, kind)
+    elif names := names_of(hint):
+        _check_names(f"{where}Unknown {field}", value, names)
+
+
+def _brief(value: Any) -> str:
+    """A value for a message: not all digits of a number that has thousands."""
+    if type(value) is int and abs(value) >= 2**63:
+        return f"a whole number of {value.bit_length()} bits"
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:80]}…"
 
 
 def _kinds(hint: Any) -> tuple[type, ...]:
@@ -128,9 +157,8 @@ def _kinds(hint: Any) -> tuple[type, ...]:
 
 
 def _check_names(what: str, value: Any, names: tuple[str, ...]) -> None:
-    for name in cast("tuple[Any, ...]", value) if isinstance(value, tuple) else (value,):
-        if name is not None and name not in names:
-            raise ConfigError(f"{what} '{name}'{closest(str(name), names)}.")
+    if value is not None and value not in names:
+        raise ConfigError(f"{what} '{value}'{closest(str(value), names)}.")
 
 
 def check_least(config: Settings, least: float, fields: str, *, or_equal: bool = True) -> None:
@@ -142,6 +170,21 @@ def check_least(config: Settings, least: float, fields: str, *, or_equal: bool =
         if not math.isfinite(value) or value < least or (value == least and not or_equal):
             bound = "at least" if or_equal else "finite and more than"
             raise ConfigError(f"{field} must be {bound} {least}, got {value}.")
+
+
+def check_most(config: Settings, most: float, fields: str) -> None:
+    """Refuses settings above a bound."""
+    for field in fields.split():
+        value = getattr(config, field)
+        if value is not None and value > most:
+            raise ConfigError(f"{field} must be at most {most}, got {value}.")
+
+
+def check_seeds(*seeds: int) -> None:
+    """Refuses seeds that are not 0 to 2**32 - 1: JAX would give others the key of one of those."""
+    for seed in seeds:
+        if not 0 <= seed < 2**32:
+            raise ConfigError(f"A seed must be 0 to {2**32 - 1}, got {seed}.")
 
 
 def check_window(n: int | None, m: int | None) -> None:

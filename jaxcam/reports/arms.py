@@ -6,6 +6,7 @@ from a results folder (`rows.jsonl` and `runs.json`), which `write_results` make
 
 import functools
 import json
+import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,6 +25,7 @@ from jaxcam.results.stats import (
     success_rate,
 )
 from jaxcam.runs.identity import Settings, changes, identity, plain, read_config
+from jaxcam.runs.manifests import sides
 from jaxcam.runs.rollouts import read_rows, rows_file
 
 _SHARED = ("task", "scene", "policy", "conditioning")
@@ -223,6 +225,8 @@ def _read_run(folder: Path, split: str) -> Run:
     settings = identity(config) | _ways(rows)
     if config.weights:
         settings["weights"] = _kind_of_weights(folder, config.weights)
+    if config.dataset:
+        settings["dataset"] = _content_of_data(folder, config.dataset)
     seconds = training_seconds(read_jsonl(folder / "metrics.jsonl"))
     return Run(folder.name, folder, settings, config.seed, rows, seconds)
 
@@ -304,9 +308,19 @@ def _ways(rows: Iterable[Row]) -> Settings:
 
 
 def _kind_of_weights(folder: Path, name: str) -> str:
+    """What the weights are, and the start of their digest; their path if no record tells."""
     record = folder / "weights.json"
-    kind = json.loads(record.read_text("utf-8"))["kind"] if record.is_file() else None
-    return kind or Path(name).stem
+    if not record.is_file():
+        return os.path.normpath(name)
+    content = json.loads(record.read_text("utf-8"))
+    return f"{content['kind'] or Path(name).stem} {str(content.get('sha256', ''))[:8]}".rstrip()
+
+
+def _content_of_data(folder: Path, name: str) -> str:
+    """A dataset's name and the start of its fingerprint; its path if no checkpoint tells."""
+    for side in sides(folder).values():
+        return f"{Path(name).stem} {str(side['data'])[:8]}"
+    return os.path.normpath(name)
 
 
 def _brief(row: Row) -> Settings:

@@ -9,7 +9,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from jaxcam.config.fields import from_json
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
 from jaxcam.files.jsonl import read_jsonl, write_atomically
@@ -18,7 +17,7 @@ from jaxcam.reports.arms import training_seconds
 from jaxcam.reports.html import Embedded, embedded, render
 from jaxcam.results.rows import Row
 from jaxcam.results.stats import Estimate, by_field, latest_rows, success_rate
-from jaxcam.runs.identity import differences, plain, resolve
+from jaxcam.runs.identity import differences, plain, read_config, resolve
 from jaxcam.runs.rollouts import read_rows, rows_file
 
 Metrics = Sequence[Mapping[str, Any]]
@@ -52,7 +51,7 @@ def write_report(run_dir: str | Path) -> Path:
     run = Path(run_dir)
     if not (run / "config.json").is_file():
         raise ConfigError(f"{run} is not the folder of a run: it has no config.json.")
-    config = from_json(TrainConfig, (run / "config.json").read_text("utf-8"))
+    config = read_config(run)
     metrics = read_jsonl(run / "metrics.jsonl")
     # Rows of validation pairs serve to choose settings; they are no result.
     rows = [row for row in latest_rows(read_rows(rows_file(run))) if row.split == "test"]

@@ -31,7 +31,7 @@ from jaxcam.files.jsonl import read_jsonl
 from jaxcam.files.paths import home
 from jaxcam.results.protocol import missing, protocol_of
 from jaxcam.results.stats import Estimate, latest_rows, success_rate
-from jaxcam.runs.identity import full_name, resolve
+from jaxcam.runs.identity import differences, full_name, resolve, stored_config
 from jaxcam.runs.rollouts import read_rows, rows_file
 
 PYTHON = (sys.executable, "-m")
@@ -158,7 +158,13 @@ def read_grid(path: str | Path) -> Grid:
         values = {**shared, **_mapping(place, block, _FIELDS)}
         for given in _combinations(place, values):
             planned = _plan(place, home(content["runs_dir"]), given, protocol)
-            runs.setdefault(planned.folder, planned)
+            known = runs.setdefault(planned.folder, planned)
+            if changed := differences(known.config, planned.config):
+                raise ConfigError(
+                    f"{place}: two runs would share the folder {planned.name}, since they differ "
+                    f"only in {', '.join(d.field for d in changed)}, which makes no other run. "
+                    "Leave one of them out."
+                )
     slurm = content.get("slurm") or {}
     return Grid(content.get("title", path.stem), home(content["runs_dir"]), [*runs.values()], slurm)
 
@@ -189,7 +195,7 @@ def _plan(where: str, runs_dir: Path, given: dict[str, Any], protocol: ProtocolN
         config = resolve(TrainConfig(**given), accelerator=False)
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from error
-    name = full_name(config)
+    name = _folder(runs_dir, config)
     planned = Planned(runs_dir / name, given, config, protocol)
     asked = protocol_of(config.policy).checkpoints
     kept = min(len(planned.steps), config.keep)
@@ -200,6 +206,20 @@ def _plan(where: str, runs_dir: Path, given: dict[str, Any], protocol: ProtocolN
             f"Set save_every to {config.steps // asked} or less, and keep to {asked} or more."
         )
     return planned
+
+
+def _folder(runs_dir: Path, config: TrainConfig) -> str:
+    """Name of the run's folder: the one of version 0.1.0 where this run has that already."""
+    name, old = full_name(config), full_name(config, files=False)
+    if name == old or not (runs_dir / old / "config.json").is_file():
+        return name
+    try:
+        there = stored_config(runs_dir / old)
+    except ConfigError:
+        return name
+    files = ("data_dir", "dataset", "weights")
+    same = all(getattr(there, k) == getattr(config, k) for k in files)
+    return old if same else name
 
 
 def _mapping(where: str, content: Any, known: Any) -> dict[str, Any]:

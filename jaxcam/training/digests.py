@@ -20,6 +20,7 @@ import orbax.checkpoint as ocp
 from jaxcam.errors import CheckpointError
 from jaxcam.files.jsonl import write_atomically
 from jaxcam.files.paths import absolute
+from jaxcam.runs.manifests import DamagedError, read_manifest, seal, steps_in
 
 FILES = "files.json"
 """File of a checkpoint with the digests of all its others."""
@@ -29,10 +30,6 @@ Read = Callable[[Path], tuple[dict[str, Any], dict[str, Any]]]
 """Reads a checkpoint's folder: its manifest, and arrays by name."""
 
 _log = logging.getLogger(__name__)
-
-
-class DamagedError(Exception):
-    """Why a checkpoint cannot be used."""
 
 
 def flatten(state: Any) -> dict[str, np.ndarray]:
@@ -56,12 +53,6 @@ def describe(leaf: np.ndarray) -> list[Any]:
     """Dtype, shape and digest of an array."""
     digest = hashlib.sha256(np.ascontiguousarray(leaf).reshape(-1).view(np.uint8).data)
     return [str(leaf.dtype), list(leaf.shape), digest.hexdigest()]
-
-
-def seal(content: dict[str, Any]) -> dict[str, Any]:
-    """The content with a digest of itself."""
-    text = json.dumps(content, sort_keys=True)
-    return {**content, "sha256": hashlib.sha256(text.encode()).hexdigest()}
 
 
 def alone() -> ocp.options.MultiprocessingOptions:
@@ -110,16 +101,7 @@ def _check_files(folder: Path, item: str) -> None:
 
 def _read_manifest(folder: Path) -> dict[str, Any]:
     _check_files(folder, "manifest")
-    try:
-        manifest = json.loads((folder / "manifest" / "metadata").read_text())
-        content = {k: manifest[k] for k in ("step", "side", "leaves")}
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise DamagedError(f"its manifest cannot be read ({brief(error)})") from error
-    if manifest != seal(content):
-        raise DamagedError("its manifest has changed since it was written")
-    if str(manifest["step"]) != folder.name:
-        raise DamagedError(f"its manifest is of step {manifest['step']}")
-    return manifest
+    return read_manifest(folder)
 
 
 def _read_item(folder: Path, item: str, described: Mapping[str, list[Any]]) -> dict[str, Any]:
@@ -164,13 +146,6 @@ def read_params(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     manifest = _read_manifest(folder)
     has_ema = any(item_of(n) == "ema" for n in manifest["leaves"])
     return manifest, _read_items(folder, manifest, {"ema" if has_ema else "params"})
-
-
-def steps_in(directory: Path) -> list[int]:
-    """Steps that have a checkpoint in a folder of them, oldest first."""
-    if not directory.is_dir():
-        return []
-    return sorted(int(p.name) for p in directory.iterdir() if p.name.isdigit())
 
 
 def newest_whole(directory: Path, read: Read) -> tuple[dict[str, Any], dict[str, Any], list[int]]:
