@@ -79,6 +79,8 @@ class ReportConfig:
 
     def __post_init__(self) -> None:
         check_types(self)
+        if not self.runs:
+            raise ConfigError("No run is given. Name run folders, or folders that hold some.")
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,7 @@ class CheckConfig:
     def __post_init__(self) -> None:
         check_types(self)
         check_least(self, 0, "episodes")
+        check_most(self, 1_000_000, "episodes")
         if self.env and self.target:
             raise ConfigError("Give --env or something to check, not both.")
         if not (self.env or self.target):
@@ -125,6 +128,7 @@ class SweepConfig:
         check_least(self, 1, "jobs")
         check_most(self, 1000, "jobs")
         check_least(self, 0, "retries")
+        check_most(self, 1_000_000, "retries")
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from jaxcam.errors import ConfigError, DatasetError
-from jaxcam.files.jsonl import append_jsonl, read_jsonl, write_atomically
+from jaxcam.files.jsonl import line_of, read_jsonl
+from jaxcam.files.locks import exclusive
 from jaxcam.files.paths import absolute
+from jaxcam.files.whole import write_atomically
 from jaxcam.results.protocol import Protocol, counted, lacks, protocol_of
 from jaxcam.results.rows import USUAL_WAY, Row
 from jaxcam.results.stats import (
@@ -177,13 +179,10 @@ def write_results(folder: Path, runs: Sequence[Run]) -> None:
         {"run": i, "name": run.name, "seed": run.seed, "seconds": round(run.seconds), "settings":
          run.settings} for i, run in enumerate(runs)
     ]  # fmt: skip
-    write_atomically(folder / "runs.json", json.dumps(records, indent=1) + "\n")
-    part = folder / "rows.jsonl.part"
-    part.unlink(missing_ok=True)
-    for i, run in enumerate(runs):
-        append_jsonl(part, *({"run": i, **_brief(row)} for row in run.rows))
-    if part.exists():
-        part.replace(folder / "rows.jsonl")
+    rows = ({"run": i, **_brief(row)} for i, run in enumerate(runs) for row in run.rows)
+    with exclusive(folder / "rows.jsonl"):  # a row's number is that of its run in the other file
+        write_atomically(folder / "rows.jsonl", "".join(map(line_of, rows)))
+        write_atomically(folder / "runs.json", json.dumps(records, indent=1) + "\n")
 
 
 def training_seconds(metrics: Sequence[Mapping[str, Any]]) -> float:

@@ -11,7 +11,8 @@ from typing import Any
 
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
-from jaxcam.files.jsonl import read_jsonl, write_atomically
+from jaxcam.files.jsonl import read_jsonl
+from jaxcam.files.whole import write_atomically
 from jaxcam.reports import paper
 from jaxcam.reports.arms import training_seconds
 from jaxcam.reports.html import Embedded, embedded, render

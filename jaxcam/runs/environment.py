@@ -10,7 +10,7 @@ from pathlib import Path
 
 import jax
 
-from jaxcam.files.jsonl import write_atomically
+from jaxcam.files.whole import write_atomically
 
 _log = logging.getLogger(__name__)
 
@@ -56,7 +56,8 @@ def record_environment(folder: Path) -> None:
 def _changes(before: str, now: str) -> list[str]:
     """What differs between two texts of `record_environment`: each old value and the new one."""
     then, today = (
-        dict(line.partition(" ")[::2] for line in text.splitlines()) for text in (before, now)
+        {line.partition(" ")[0]: line.partition(" ")[2] for line in text.splitlines()}
+        for text in (before, now)
     )
     return [
         f"{name} {then.get(name, 'none')} -> {today.get(name, 'none')}"

@@ -16,14 +16,19 @@ from typing import Any, Self
 from jaxcam.config.fields import to_json
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
-from jaxcam.files.jsonl import append_jsonl, line_of, read_jsonl, write_atomically
+from jaxcam.files.jsonl import append_jsonl, line_of, read_jsonl
 from jaxcam.files.locks import InUseError, NamedLock
 from jaxcam.files.paths import absolute
+from jaxcam.files.whole import write_atomically
 from jaxcam.runs.environment import record_environment
 from jaxcam.runs.identity import differences, read_config
 
 MIN_FREE = 500_000_000
 """Bytes that must be free before a run starts."""
+
+WRITTEN = ("checkpoints", "metrics.jsonl", "command.txt", "env.txt", "git.txt", "weights.json",
+           "report.html", "diverged.npz", "eval", "plots", "pictures", "videos", "damaged")  # fmt: skip
+"""What a run writes into its folder beside its config.json, which comes first."""
 
 _log = logging.getLogger(__name__)
 
@@ -100,14 +105,15 @@ class RunDir:
         stored = self.path / "config.json"
         if stored.exists():
             self._compare(read_config(self.path), config)
-        elif self.checkpoints.exists() and any(self.checkpoints.iterdir()):
+        elif there := sorted(name for name in WRITTEN if (self.path / name).exists()):
             raise ConfigError(
-                f"{self.path} has checkpoints but no config.json, so it cannot be continued. "
-                "Choose another --run-dir."
+                f"{self.path} has {', '.join(there)} but no config.json, so it is no run that can "
+                "be continued. Choose another --run-dir."
             )
         write_atomically(stored, to_json(config))
         now = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
-        with open(self.path / "command.txt", "a", encoding="utf-8") as file:
+        commands = self.path / "command.txt"
+        with open(commands, "a", encoding="utf-8", errors="surrogateescape") as file:
             file.write(f"{now}  {shlex.join(command)}\n")
         record_environment(self.path)
 

@@ -18,8 +18,8 @@ import numpy as np
 import orbax.checkpoint as ocp
 
 from jaxcam.errors import CheckpointError
-from jaxcam.files.jsonl import write_atomically
 from jaxcam.files.paths import absolute
+from jaxcam.files.whole import write_atomically
 from jaxcam.runs.manifests import DamagedError, read_manifest, seal, steps_in
 
 FILES = "files.json"

@@ -7,6 +7,7 @@ from typing import Any, Self
 import numpy as np
 
 from jaxcam.config.train import TrainConfig
+from jaxcam.files.whole import whole
 from jaxcam.runs.folder import RunDir
 from jaxcam.training.checkpoint import Checkpoints
 from jaxcam.training.loggers import Loggers
@@ -67,7 +68,8 @@ class Records:
     def keep_batch(self, batch: Mapping[str, Any]) -> None:
         """Write down the batch at which the run diverged, `diverged.npz`."""
         if self._run:
-            np.savez(self._run.path / "diverged.npz", **batch)
+            with whole(self._run.path / "diverged.npz") as part:
+                np.savez(part, **batch)
 
     def save(self, state: TrainState) -> None:
         """Write a checkpoint."""
