@@ -129,6 +129,11 @@ class RunDir:
             _log.warning("Changed since the run began: %s.", change)
 
 
+def holder(path: Path) -> str:
+    """Who trains the run in a folder, "pid 7 on host since …"; empty if nobody does."""
+    return NamedLock(path / "lock").held_by()
+
+
 def _check_writable(path: Path, min_free: int) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)

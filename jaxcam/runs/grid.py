@@ -26,7 +26,7 @@ import yaml
 
 from jaxcam.config.names import ProtocolName
 from jaxcam.config.train import TrainConfig
-from jaxcam.errors import ConfigError, closest
+from jaxcam.errors import ConfigError, DatasetError, closest
 from jaxcam.files.jsonl import read_jsonl
 from jaxcam.files.paths import home
 from jaxcam.results.protocol import missing, protocol_of
@@ -171,8 +171,10 @@ def read_grid(path: str | Path) -> Grid:
 
 def progress_of(run: Planned) -> Progress:
     """How far a run is, from its folder."""
-    metrics = read_jsonl(run.folder / "metrics.jsonl")
-    step = int(max((row.get("step", 0) for row in metrics), default=0))
+    steps = [row.get("step", 0) for row in read_jsonl(run.folder / "metrics.jsonl")]
+    if odd := [step for step in steps if type(step) is not int]:
+        raise DatasetError(f"{run.folder / 'metrics.jsonl'} has a row of step {odd[0]!r:.80}.")
+    step = max(steps, default=0)
     rows = [
         row
         for row in read_rows(rows_file(run.folder))
