@@ -39,7 +39,7 @@ from jaxcam.results.stats import Estimate
 from jaxcam.runs.folder import RunDir
 from jaxcam.runs.identity import resolve
 from jaxcam.runs.rollouts import read_rows, rows_file
-from jaxcam.sim import make_task
+from jaxcam.sim import engine_name, make_task
 from jaxcam.sim.actions import action_dim
 from jaxcam.sim.world import PROPRIO_DIM
 from jaxcam.training.checkpoint import checkpoint_steps
@@ -61,6 +61,7 @@ def train(config: TrainConfig, console: Console | None = None) -> int:
     configs = each_seed(like_its_dataset(config))
     first = configs[0]
     check_loggers(first.log)
+    engine_name(first.engine, make_task(first.task))
     weights = starting_weights(configs)  # what cannot work is told before anything is made
     check_same("settings", to_json(replace(first, run_dir="", data_dir="", dataset="")))
     with ExitStack() as stack:

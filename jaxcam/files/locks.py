@@ -41,8 +41,8 @@ def exclusive(path: Path, console: Console | None = None) -> Iterator[None]:
                 check_stop()
     except OSError as error:
         raise DatasetError(
-            f"Cannot write to {path.parent}: {error.strerror}. Get permission, make room, or choose "
-            "another place."
+            f"Cannot write to {path.parent}: {error.strerror}. Get permission, make room, or "
+            "choose another place."
         ) from error
     try:
         yield
@@ -111,7 +111,8 @@ class NamedLock:
     def free(self) -> None:
         """Let others take it; nothing if it is free."""
         if self._lock.is_locked:
-            os.truncate(self._path, 0)
+            with contextlib.suppress(FileNotFoundError):  # its folder may have been moved away
+                os.truncate(self._path, 0)
             self._lock.release()
 
     def _holder(self) -> str:

@@ -43,7 +43,9 @@ class CameraConfig:
     """Observations the policy sees at once."""
 
     def __post_init__(self) -> None:
-        """Refuse names that do not exist."""
+        """Refuse names that do not exist, and a pose that is no matrix."""
+        if [len(row) for row in self.nominal_pose] != [4, 4, 4, 4]:
+            raise ConfigError(f"nominal_pose must be 4 rows of 4 numbers, got {self.nominal_pose}.")
         check_known(
             self,
             conditioning=names_of(Conditioning),

@@ -144,7 +144,7 @@ def read_runs(paths: Iterable[str | Path], split: str = "test") -> list[Run]:
     """
     runs: dict[str, Run] = {}
     for path in map(absolute, paths):
-        folders = list(_find(path))
+        folders = list(_find(path, set()))
         if not folders:
             raise ConfigError(
                 f"No run in {path}: neither it nor a folder below it has a config.json or a "
@@ -201,13 +201,16 @@ def training_seconds(metrics: Sequence[Mapping[str, Any]]) -> float:
     return total + last
 
 
-def _find(path: Path) -> Iterator[Path]:
-    """The run and results folders at or below a path."""
+def _find(path: Path, known: set[Path]) -> Iterator[Path]:
+    """The run and results folders at or below a path, each folder once: links may lead back."""
+    if not path.is_dir() or (real := path.resolve()) in known:
+        return
+    known.add(real)
     if any((path / name).is_file() for name in ("config.json", "rows.jsonl")):
         yield path
-    elif path.is_dir():
+    else:
         for child in sorted(path.iterdir()):
-            yield from _find(child)
+            yield from _find(child, known)
 
 
 def _read(folder: Path, split: str) -> list[Run]:

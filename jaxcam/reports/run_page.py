@@ -12,6 +12,7 @@ from typing import Any
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
 from jaxcam.files.jsonl import read_jsonl
+from jaxcam.files.paths import inside
 from jaxcam.files.whole import write_atomically
 from jaxcam.reports import paper
 from jaxcam.reports.arms import training_seconds
@@ -122,10 +123,11 @@ def _facts(config: TrainConfig, metrics: Metrics, rows: Sequence[Row], step: int
 
 
 def _figures(folder: Path) -> list[Embedded]:
-    """All PNG files of a folder, those we know first."""
+    """All PNG files of a folder of a run, those we know first, without links out of the run."""
     known = list(_PLOTS)
+    own = (f for f in folder.glob("*.png") if f.is_file() and inside(f, folder.parent))
     files = sorted(
-        folder.glob("*.png"),
+        own,
         key=lambda f: (known.index(f.stem) if f.stem in _PLOTS else len(known), f.name),
     )
     return [
@@ -176,7 +178,9 @@ def _commands(run_dir: str | Path, config: TrainConfig) -> list[list[str]]:
 
 def _environment(file: Path) -> str:
     """Versions and devices."""
-    return file.read_text("utf-8").strip() if file.is_file() else ""
+    if not file.is_file() or not inside(file, file.parent):
+        return ""
+    return file.read_text("utf-8", errors="replace").strip()
 
 
 def _degrees(value: float | None) -> str:

@@ -15,7 +15,7 @@ from typing import Any, Self
 
 from jaxcam.config.fields import to_json
 from jaxcam.config.train import TrainConfig
-from jaxcam.errors import ConfigError
+from jaxcam.errors import CheckpointError, ConfigError
 from jaxcam.files.jsonl import append_jsonl, line_of, read_jsonl
 from jaxcam.files.locks import InUseError, NamedLock
 from jaxcam.files.paths import absolute
@@ -26,8 +26,10 @@ from jaxcam.runs.identity import differences, read_config
 MIN_FREE = 500_000_000
 """Bytes that must be free before a run starts."""
 
-WRITTEN = ("checkpoints", "metrics.jsonl", "command.txt", "env.txt", "git.txt", "weights.json",
-           "report.html", "diverged.npz", "eval", "plots", "pictures", "videos", "damaged")  # fmt: skip
+WRITTEN = (
+    "checkpoints", "metrics.jsonl", "command.txt", "env.txt", "git.txt", "weights.json", "damaged",
+    "report.html", "diverged.npz", "eval", "plots", "pictures", "videos",
+)  # fmt: skip
 """What a run writes into its folder beside its config.json, which comes first."""
 
 _log = logging.getLogger(__name__)
@@ -88,6 +90,19 @@ class RunDir:
     def metrics(self) -> Path:
         """File of the metrics, one row a line."""
         return self.path / "metrics.jsonl"
+
+    def check_there(self) -> None:
+        """Make sure that the folder has not been renamed, moved or deleted.
+
+        Raises:
+            CheckpointError: It has.
+        """
+        if not (self.path / "config.json").is_file():
+            raise CheckpointError(
+                f"{self.path} was renamed, moved or deleted while its run trains, so nothing more "
+                "can be saved there. Its checkpoints are whole, wherever they are now: move it "
+                "back, or give its new place as --run-dir, and run the same command again."
+            )
 
     def log(self, row: Mapping[str, Any]) -> None:
         """Append a row to the metrics."""

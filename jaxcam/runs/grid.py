@@ -33,6 +33,7 @@ from jaxcam.results.protocol import missing, protocol_of
 from jaxcam.results.stats import Estimate, latest_rows, success_rate
 from jaxcam.runs.identity import differences, full_name, resolve, stored_config
 from jaxcam.runs.rollouts import read_rows, rows_file
+from jaxcam.sim import engine_name, make_task
 
 PYTHON = (sys.executable, "-m")
 """How a command of jaxcam is started."""
@@ -195,6 +196,8 @@ def _plan(where: str, runs_dir: Path, given: dict[str, Any], protocol: ProtocolN
         raise ConfigError(f"{where}: there is no 'seed'.")
     try:
         config = resolve(TrainConfig(**given), accelerator=False)
+        if config.engine != "auto":
+            engine_name(config.engine, make_task(config.task))
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from error
     name = _folder(runs_dir, config)

@@ -58,6 +58,7 @@ class Records:
         """Write down a row of metrics. A disk that is full loses rows, not the training."""
         if self._run is None:
             return
+        self._run.check_there()
         try:
             self._run.log(row)
         except OSError as error:
@@ -73,5 +74,6 @@ class Records:
 
     def save(self, state: TrainState) -> None:
         """Write a checkpoint."""
-        if self._checkpoints:
+        if self._run and self._checkpoints:
+            self._run.check_there()
             self._checkpoints.save(state, self._side)
