@@ -4,6 +4,7 @@ import ast
 import dataclasses
 import json
 import math
+import os
 import types
 import typing
 from collections.abc import Iterable
@@ -100,7 +101,7 @@ def with_overrides(settings: C, pairs: Iterable[str]) -> C:
 def check_types(config: Settings, where: str = "") -> None:
     """Refuses values whose type is not the annotated one, and names that are unknown.
 
-    Numbers are finite and have at most 64 bits, and no text has a zero byte, which no path can.
+    Numbers are finite and have at most 64 bits, and texts could be paths.
 
     Args:
         config: Settings.
@@ -124,8 +125,8 @@ def _check_type(where: str, field: str, value: Any, hint: Any) -> None:
         raise ConfigError(f"{where}{field} has more than 64 bits: {_brief(value)}.")
     if type(value) is float and not math.isfinite(value):
         raise ConfigError(f"{where}{field} must be finite, got {value}.")
-    if type(value) is str and "\0" in value:
-        raise ConfigError(f"{where}{field} has a zero byte: {_brief(value)}.")
+    if type(value) is str and not _can_be_name(value):
+        raise ConfigError(f"{where}{field} has what no file's name can: {_brief(value)}.")
     if isinstance(value, tuple) and (kinds_inside := typing.get_args(hint)):
         items = cast("tuple[Any, ...]", value)
         inside = kinds_inside[:1] * len(items) if kinds_inside[-1] is ... else kinds_inside
@@ -135,6 +136,14 @@ def _check_type(where: str, field: str, value: Any, hint: Any) -> None:
             _check_type(where, field, item, kind)
     elif names := names_of(hint):
         _check_names(f"{where}Unknown {field}", value, names)
+
+
+def _can_be_name(text: str) -> bool:
+    """Whether a text could be a path: without a zero byte, and with nothing that is no letter."""
+    try:
+        return b"\0" not in os.fsencode(text)
+    except UnicodeEncodeError:
+        return False
 
 
 def _brief(value: Any) -> str:
