@@ -106,7 +106,7 @@ def test_a_run_whose_records_are_damaged_does_not_stop_the_others(write, line):
 
 
 def test_a_run_that_an_orphan_trains_is_waited_for(write):
-    """A sweep that was killed leaves its child; the next one calls its run neither failed nor done."""
+    """A sweep that was killed leaves its child; the next one does not call its run failed."""
     plan = read_grid(write())
     folder = plan.runs[0].folder
     folder.mkdir(parents=True)

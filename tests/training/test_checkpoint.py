@@ -435,9 +435,7 @@ def test_stale_half_written_checkpoints_are_removed(run):
 
 @pytest.mark.parametrize("changed", [{"lr": 0.5}, {"conditioning": "none"}, {"seed": 4}])
 def test_a_config_that_is_not_the_checkpoints_is_refused(run, changed):
-    own = dataclasses.replace(
-        CONFIG, pairs=7, data_dir="elsewhere"
-    )  # what leaves training as it was
+    own = dataclasses.replace(CONFIG, pairs=7, data_dir="elsewhere")  # training stays as it was
     (run / "config.json").write_text(to_json(own))
     assert load_policy_inputs(run).step == 3
     assert read_config(run) == own
