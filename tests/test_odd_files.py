@@ -22,9 +22,10 @@ from jaxcam.data.pairs import read_digests
 from jaxcam.errors import JaxcamError
 from jaxcam.runs.grid import read_grid
 from jaxcam.runs.identity import read_config
+from jaxcam.runs.manifests import DamagedError, seal, steps_in
 from jaxcam.runs.metrics import read_metrics
 from jaxcam.runs.rollouts import read_rows
-from jaxcam.training.digests import DamagedError, read_all, seal, steps_in
+from jaxcam.training.digests import read_all
 
 COUNT = 60
 ODD = [

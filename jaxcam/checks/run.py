@@ -19,10 +19,11 @@ from jaxcam.data.demos import read_demos
 from jaxcam.errors import JaxcamError
 from jaxcam.files.paths import absolute, home
 from jaxcam.runs.environment import environment
-from jaxcam.runs.identity import read_config
+from jaxcam.runs.identity import stored_config, unlike
+from jaxcam.runs.manifests import DamagedError
 from jaxcam.runs.metrics import read_metrics
 from jaxcam.training.checkpoint import checkpoint_steps
-from jaxcam.training.digests import DamagedError, read_all
+from jaxcam.training.digests import read_all
 from jaxcam.training.side import CONVENTION
 
 LEAST_GOOD = 0.9
@@ -47,15 +48,15 @@ def check_run(folder: Path, console: Console | None = None) -> Iterator[Finding]
         console: For progress; silent when None.
     """
     try:
-        config = read_config(folder)
+        config = stored_config(folder)
     except JaxcamError as error:
         yield bad(
             "configuration",
             got=str(error),
             where="config.json",
             fix=(
-                "Checkpoints hold a copy: python -m jaxcam.evaluate still works. To go "
-                "on training, restore the file."
+                "Checkpoints hold a copy of the settings, in manifest/metadata: restore the "
+                "file from there."
             ),
         )
         return
@@ -67,6 +68,7 @@ def check_run(folder: Path, console: Console | None = None) -> Iterator[Finding]
     except OSError as error:
         yield bad("checkpoints", got=f"cannot be read: {error}")
     parts = {
+        "configuration": lambda: _misfits(config, checkpoints),
         "checkpoints": lambda: _checkpoints(checkpoints),
         "set aside": lambda: _set_aside(folder),
         "dataset": lambda: [_dataset(folder, config, checkpoints)],
@@ -99,6 +101,19 @@ def _verify(folder: Path, console: Console | None) -> Verified:
                 verified.damaged[step] = str(error)
             advance()
     return verified
+
+
+def _misfits(config: TrainConfig, verified: Verified) -> Iterator[Finding]:
+    """Whether config.json is what the checkpoints were trained with."""
+    for step, side in verified.sides.items():
+        if misfits := unlike(config, side):
+            yield bad(
+                "configuration",
+                got="; ".join(misfits),
+                expected="what the checkpoint was trained with",
+                where=f"config.json and step {step}",
+                fix="One of them is of another run, or was edited: restore it.",
+            )
 
 
 def _checkpoints(verified: Verified) -> Iterator[Finding]:

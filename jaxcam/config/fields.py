@@ -21,8 +21,6 @@ class Settings(Protocol):
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
 
-MOST = 2**63 - 1
-"""The largest whole number of 64 bits."""
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = 100
 C = TypeVar("C", bound=Settings)
@@ -85,7 +83,9 @@ def as_record(kind: type[C], values: Any, what: str = "configuration") -> C:
 
 
 def short(value: Any) -> str:
-    """A value as Python writes it, or the beginning of that."""
+    """A value for a message: as Python writes it, without all of what is long or nested."""
+    if type(value) is int and abs(value) >= 2**63:
+        return f"a whole number of {value.bit_length()} bits"
     return _SHORT.repr(value)
 
 
@@ -107,7 +107,7 @@ def overrides(pairs: Iterable[str]) -> dict[str, Any]:
             raise ConfigError(f"model: '{name}' is given twice.")
         try:
             values[name] = ast.literal_eval({"true": "True", "false": "False"}.get(text, text))
-        except (ValueError, SyntaxError):
+        except (ValueError, SyntaxError, RecursionError, MemoryError):
             values[name] = text
     return values
 
@@ -127,13 +127,17 @@ def with_overrides(settings: C, pairs: Iterable[str]) -> C:
     for name in values:
         if name not in known:
             raise ConfigError(f"model: unknown setting '{name}'{closest(name, known)}.")
-    changed = dataclasses.replace(settings, **values)
-    check_types(changed, where="model: ")
-    return changed
+    # Types first: the settings' own checks compute with them.
+    hints = typing.get_type_hints(type(settings))
+    for name, value in values.items():
+        _check_type("model: ", name, value, hints[name])
+    return dataclasses.replace(settings, **values)
 
 
 def check_types(config: Settings, where: str = "") -> None:
     """Refuses values whose type is not the annotated one, and names that are unknown.
+
+    Numbers are finite and have at most 64 bits, and texts could be paths.
 
     Args:
         config: Settings.
@@ -143,32 +147,30 @@ def check_types(config: Settings, where: str = "") -> None:
         ConfigError: There is such a value; of a name the message has the closest that is known.
     """
     for field, hint in typing.get_type_hints(type(config)).items():
-        value = getattr(config, field)
-        if wanted := _misfit(hint, value):
-            raise ConfigError(f"{where}{field} must be {wanted}, got {short(value)}.")
-        if names := names_of(hint):
-            _check_names(f"{where}Unknown {field}", value, names)
+        if typing.get_origin(hint) is not ClassVar:
+            _check_type(where, field, getattr(config, field), hint)
 
 
-def _misfit(hint: Any, value: Any) -> str:
-    """What a value should be whose type is not the annotated one; empty if it is."""
+def _check_type(where: str, field: str, value: Any, hint: Any) -> None:
     kinds = _kinds(hint)
-    if object in kinds:
-        return ""
     is_number = type(value) is int and float in kinds
-    if type(value) not in kinds and not is_number:
-        return " or ".join(k.__name__ for k in kinds)
-    if isinstance(value, int) and abs(value) > MOST:
-        return "a number of 64 bits"
-    if isinstance(value, str) and not _can_be_path(value):
-        return "text without zero bytes and halves of characters"
+    if object not in kinds and type(value) not in kinds and not is_number:
+        wanted = " or ".join(k.__name__ for k in kinds)
+        raise ConfigError(f"{where}{field} must be {wanted}, got {short(value)}.")
+    if type(value) is int and abs(value) >= 2**63:
+        raise ConfigError(f"{where}{field} has more than 64 bits: {short(value)}.")
+    if type(value) is float and not math.isfinite(value):
+        raise ConfigError(f"{where}{field} must be finite, got {value}.")
+    if type(value) is str and not _can_be_name(value):
+        raise ConfigError(f"{where}{field} has what no file's name can: {short(value)}.")
     for part_hint, part in _parts(hint, value):
-        if wanted := _misfit(part_hint, part):
-            return f"{type(value).__name__} of {wanted}"
-    return ""
+        _check_type(where, field, part, part_hint)
+    if not isinstance(value, tuple | list | dict) and (names := names_of(hint)):
+        _check_names(f"{where}Unknown {field}", value, names)
 
 
-def _can_be_path(text: str) -> bool:
+def _can_be_name(text: str) -> bool:
+    """Whether a text could be a path: without a zero byte, and with nothing that is no letter."""
     try:
         return b"\0" not in os.fsencode(text)
     except UnicodeEncodeError:
@@ -183,9 +185,11 @@ def _parts(hint: Any, value: Any) -> Iterable[tuple[Any, Any]]:
         return _parts(next(same, Any), value)
     if origin is dict:
         return [pair for item in value.items() for pair in zip(args, item, strict=True)]
-    if origin is list or (origin is tuple and Ellipsis in args):
-        return [(args[0], part) for part in value]
-    return []
+    if origin is tuple and Ellipsis not in args:
+        if len(args) != len(value):
+            raise ConfigError(f"Expected {len(args)} values, got {short(value)}.")
+        return list(zip(args, value, strict=True))
+    return [(args[0], part) for part in value] if origin in (list, tuple) else []
 
 
 def _kinds(hint: Any) -> tuple[type, ...]:
@@ -200,9 +204,8 @@ def _kinds(hint: Any) -> tuple[type, ...]:
 
 
 def _check_names(what: str, value: Any, names: tuple[str, ...]) -> None:
-    for name in cast("tuple[Any, ...]", value) if isinstance(value, tuple) else (value,):
-        if name is not None and name not in names:
-            raise ConfigError(f"{what} {name!r:.80}{closest(str(name), names)}.")
+    if value is not None and value not in names:
+        raise ConfigError(f"{what} {short(value)}{closest(str(value), names)}.")
 
 
 def check_least(config: Settings, least: float, fields: str, *, or_equal: bool = True) -> None:
@@ -214,6 +217,21 @@ def check_least(config: Settings, least: float, fields: str, *, or_equal: bool =
         if not math.isfinite(value) or value < least or (value == least and not or_equal):
             bound = "at least" if or_equal else "finite and more than"
             raise ConfigError(f"{field} must be {bound} {least}, got {value}.")
+
+
+def check_most(config: Settings, most: float, fields: str) -> None:
+    """Refuses settings above a bound."""
+    for field in fields.split():
+        value = getattr(config, field)
+        if value is not None and value > most:
+            raise ConfigError(f"{field} must be at most {most}, got {value}.")
+
+
+def check_seeds(*seeds: int) -> None:
+    """Refuses seeds that are not 0 to 2**32 - 1: JAX would give others the key of one of those."""
+    for seed in seeds:
+        if not 0 <= seed < 2**32:
+            raise ConfigError(f"A seed must be 0 to {2**32 - 1}, got {seed}.")
 
 
 def check_window(n: int | None, m: int | None) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from jaxcam.config.fields import as_record, from_json
 from jaxcam.data.splits import SPLITS
 from jaxcam.errors import ConfigError, DatasetError
-from jaxcam.files.jsonl import write_atomically
+from jaxcam.files.whole import write_atomically
 from jaxcam.rays import sample_poses
 from jaxcam.sim.task import Task, starts
 from jaxcam.sim.types import Start

@@ -1,4 +1,4 @@
-"""Files of JSON lines, and files that are written whole or not at all."""
+"""Files of JSON lines."""
 
 import json
 import os
@@ -55,16 +55,6 @@ def read_jsonl(path: str | Path) -> list[dict[str, Any]]:
             raise DatasetError(f"{path}, line {number}: {wanted}, got {line[:80]!r}.")
         rows.append(row)
     return rows
-
-
-def write_atomically(path: Path, text: str) -> None:
-    """Write a file so that a crash leaves the old content or the new, never a part."""
-    part = path.with_name(path.name + ".part")
-    with open(part, "w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    part.replace(path)
 
 
 def _cut_torn_line(file: Any) -> None:

@@ -239,7 +239,7 @@ def _read_scales(folder: Path) -> Arrays:
     """The statistics that its first pipeline scales by."""
     steps = _read_json(folder / "policy_preprocessor.json")["steps"]
     file = next((s["state_file"] for s in steps if "normal" in s.get("state_file", "")), "")
-    if not (folder / file).is_file():
+    if Path(file).name != file or not (folder / file).is_file():
         raise CheckpointError(f"{folder} has no file of statistics '{file}'.")
     return _safetensors().load_file(folder / file)
 

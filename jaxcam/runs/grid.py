@@ -32,9 +32,10 @@ from jaxcam.errors import ConfigError, closest
 from jaxcam.files.paths import home
 from jaxcam.results.protocol import missing, protocol_of
 from jaxcam.results.stats import Estimate, latest_rows, success_rate
-from jaxcam.runs.identity import full_name, resolve
+from jaxcam.runs.identity import differences, full_name, resolve, stored_config
 from jaxcam.runs.metrics import read_metrics
 from jaxcam.runs.rollouts import read_rows, rows_file
+from jaxcam.sim import engine_name, make_task
 
 PYTHON = (sys.executable, "-m")
 """How a command of jaxcam is started."""
@@ -177,7 +178,13 @@ def read_grid(path: str | Path) -> Grid:
         values = {**shared, **_mapping(place, block, _FIELDS)}
         for given in _combinations(place, values):
             planned = _plan(place, home(file.runs_dir), given, protocol)
-            runs.setdefault(planned.folder, planned)
+            known = runs.setdefault(planned.folder, planned)
+            if changed := differences(known.config, planned.config):
+                raise ConfigError(
+                    f"{place}: two runs would share the folder {planned.name}, since they differ "
+                    f"only in {', '.join(d.field for d in changed)}, which makes no other run. "
+                    "Leave one of them out."
+                )
     planned = [*runs.values()]
     return Grid(file.title or path.stem, home(file.runs_dir), planned, file.slurm or {})
 
@@ -206,9 +213,11 @@ def _plan(where: str, runs_dir: Path, given: dict[str, Any], protocol: ProtocolN
         raise ConfigError(f"{where}: there is no 'seed'.")
     try:
         config = resolve(TrainConfig(**given), accelerator=False)
+        if config.engine != "auto":
+            engine_name(config.engine, make_task(config.task))
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from error
-    name = full_name(config)
+    name = _folder(runs_dir, config)
     planned = Planned(runs_dir / name, given, config, protocol)
     asked = protocol_of(config.policy).checkpoints
     kept = min(len(planned.steps), config.keep)
@@ -219,6 +228,20 @@ def _plan(where: str, runs_dir: Path, given: dict[str, Any], protocol: ProtocolN
             f"Set save_every to {config.steps // asked} or less, and keep to {asked} or more."
         )
     return planned
+
+
+def _folder(runs_dir: Path, config: TrainConfig) -> str:
+    """Name of the run's folder: the one of version 0.1.0 where this run has that already."""
+    name, old = full_name(config), full_name(config, files=False)
+    if name == old or not (runs_dir / old / "config.json").is_file():
+        return name
+    try:
+        there = stored_config(runs_dir / old)
+    except ConfigError:
+        return name
+    files = ("data_dir", "dataset", "weights")
+    same = all(getattr(there, k) == getattr(config, k) for k in files)
+    return old if same else name
 
 
 def _mapping(where: str, content: Any, known: Any) -> dict[str, Any]:

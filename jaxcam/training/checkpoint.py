@@ -26,8 +26,9 @@ from jaxcam.config.train import TrainConfig
 from jaxcam.errors import CheckpointError, ConfigError
 from jaxcam.files.paths import absolute
 from jaxcam.models import FAMILIES, Policy, PolicySpec
+from jaxcam.runs.identity import read_config
+from jaxcam.runs.manifests import DamagedError, seal, steps_in
 from jaxcam.training.digests import (
-    DamagedError,
     alone,
     brief,
     describe,
@@ -38,8 +39,6 @@ from jaxcam.training.digests import (
     newest_whole,
     read_all,
     read_params,
-    seal,
-    steps_in,
     to_plain,
     write_digests,
 )
@@ -221,11 +220,15 @@ def load_policy_inputs(run_dir: str | Path, step: int | None = None) -> PolicyIn
 
     Raises:
         CheckpointError: There is no such checkpoint, it is damaged, or it is of another version.
+        ConfigError: The folder has a config.json that is not that of its checkpoints.
     """
-    directory = absolute(run_dir) / "checkpoints"
+    folder = absolute(run_dir)
+    directory = folder / "checkpoints"
     known = steps_in(directory)
     if not known:
         raise CheckpointError(f"No checkpoint in {directory}. Train first, or check the path.")
+    if (folder / "config.json").exists():
+        read_config(folder)
     if step is None:
         manifest, leaves, _ = newest_whole(directory, read_params)
     elif step in known:

@@ -9,7 +9,6 @@ them, the manifest alone is what arrays are held against.
 import hashlib
 import json
 import logging
-import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -20,9 +19,17 @@ import orbax.checkpoint as ocp
 
 from jaxcam.config.fields import as_record
 from jaxcam.errors import CheckpointError, ConfigError
-from jaxcam.files.jsonl import write_atomically
 from jaxcam.files.paths import absolute
-from jaxcam.training.manifest import Files, check_manifest, read_object
+from jaxcam.files.whole import write_atomically
+from jaxcam.runs.manifests import (
+    DamagedError,
+    Files,
+    read_manifest,
+    read_object,
+    seal,
+    steps_in,
+    without_seal,
+)
 
 FILES = "files.json"
 """File of a checkpoint with the digests of all its others."""
@@ -32,10 +39,6 @@ Read = Callable[[Path], tuple[dict[str, Any], dict[str, Any]]]
 """Reads a checkpoint's folder: its manifest, and arrays by name."""
 
 _log = logging.getLogger(__name__)
-
-
-class DamagedError(Exception):
-    """Why a checkpoint cannot be used."""
 
 
 def flatten(state: Any) -> dict[str, np.ndarray]:
@@ -59,17 +62,6 @@ def describe(leaf: np.ndarray) -> list[Any]:
     """Dtype, shape and digest of an array."""
     digest = hashlib.sha256(np.ascontiguousarray(leaf).reshape(-1).view(np.uint8).data)
     return [str(leaf.dtype), list(leaf.shape), digest.hexdigest()]
-
-
-def seal(content: dict[str, Any]) -> dict[str, Any]:
-    """The content with a digest of itself."""
-    text = json.dumps(content, sort_keys=True)
-    return {**content, "sha256": hashlib.sha256(text.encode()).hexdigest()}
-
-
-def without_seal(content: Mapping[str, Any]) -> dict[str, Any]:
-    """The content that `seal` was given."""
-    return {name: value for name, value in content.items() if name != "sha256"}
 
 
 def alone() -> ocp.options.MultiprocessingOptions:
@@ -118,17 +110,11 @@ def _check_files(folder: Path, item: str) -> None:
 
 def _read_manifest(folder: Path) -> dict[str, Any]:
     _check_files(folder, "manifest")
+    manifest = read_manifest(folder)
     try:
-        manifest = read_object(folder / "manifest" / "metadata")
-        content = without_seal(manifest)
-        check_manifest(content)
-        from_plain(content["side"])
-    except (ConfigError, ValueError, TypeError) as error:  # Arrays in the side may be none.
-        raise DamagedError(f"its manifest cannot be read ({brief(error)})") from error
-    if manifest != seal(content):
-        raise DamagedError("its manifest has changed since it was written")
-    if str(manifest["step"]) != folder.name:
-        raise DamagedError(f"its manifest is of step {manifest['step']}")
+        from_plain(manifest["side"])
+    except (ValueError, TypeError) as error:
+        raise DamagedError(f"its manifest has arrays that are none ({brief(error)})") from error
     return manifest
 
 
@@ -177,14 +163,6 @@ def read_params(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     manifest = _read_manifest(folder)
     has_ema = any(item_of(n) == "ema" for n in manifest["leaves"])
     return manifest, _read_items(folder, manifest, {"ema" if has_ema else "params"})
-
-
-def steps_in(directory: Path) -> list[int]:
-    """Steps that have a checkpoint in a folder of them, oldest first."""
-    if not directory.is_dir():
-        return []
-    names = (path.name for path in directory.iterdir())
-    return sorted(int(name) for name in names if re.fullmatch("0|[1-9][0-9]*", name))
 
 
 def newest_whole(directory: Path, read: Read) -> tuple[dict[str, Any], dict[str, Any], list[int]]:

@@ -21,8 +21,8 @@ from rich.console import Console
 from rich.table import Table
 
 from jaxcam.errors import CheckpointError
-from jaxcam.files.jsonl import write_atomically
 from jaxcam.files.paths import absolute
+from jaxcam.files.whole import write_atomically
 from jaxcam.models.policy import Params
 from jaxcam.models.weights.names import MAPS, NameMap, recognise, unwrap
 from jaxcam.models.weights.torch_files import read_torch
