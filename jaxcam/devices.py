@@ -48,7 +48,7 @@ def joined(distributed: bool) -> Iterator[None]:
     if not distributed:
         yield
         return
-    # Its handler would keep SIGTERM from `jaxcam.runs.interrupts.interrupts`.
+    # Its handler would keep SIGTERM from `jaxcam.interrupts.interrupts`.
     jax.config.update("jax_enable_preemption_service", False)
     given = {k: kind(os.environ[v]) for k, (v, kind) in _VARIABLES.items() if v in os.environ}
     try:

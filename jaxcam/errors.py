@@ -45,6 +45,12 @@ class SimError(JaxcamError):
     exit_code = 5
 
 
+class MachineError(JaxcamError):
+    """The machine refused something: a file, room, rights, memory or a device."""
+
+    exit_code = 7
+
+
 class DivergedError(JaxcamError):
     """Training produced non-finite numbers for too long."""
 

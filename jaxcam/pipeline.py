@@ -25,8 +25,8 @@ from jaxcam.devices import check_same, gathered, has_accelerator, is_first, join
 from jaxcam.errors import ConfigError
 from jaxcam.evaluation.checkpoint import Wanted, evaluate
 from jaxcam.evaluation.evaluator import Candidate, Evaluator
-from jaxcam.files.jsonl import read_jsonl
 from jaxcam.files.paths import absolute
+from jaxcam.interrupts import Stopped, interrupts
 from jaxcam.models import Policy, PolicySpec, Stats, make_policy, policy_settings
 from jaxcam.models.policy import blank_stats
 from jaxcam.models.weights.load import Weights, load, read_weights, record_weights
@@ -37,9 +37,9 @@ from jaxcam.reports.style import save
 from jaxcam.results.stats import Estimate
 from jaxcam.runs.folder import RunDir
 from jaxcam.runs.identity import resolve
-from jaxcam.runs.interrupts import interrupts
+from jaxcam.runs.metrics import read_metrics
 from jaxcam.runs.rollouts import read_rows, rows_file
-from jaxcam.sim import make_task
+from jaxcam.sim import engine_name, make_task
 from jaxcam.sim.actions import action_dim, space_of
 from jaxcam.sim.world import PROPRIO_DIM
 from jaxcam.training.checkpoint import checkpoint_steps
@@ -61,15 +61,16 @@ def train(config: TrainConfig, console: Console | None = None) -> int:
     configs = each_seed(like_its_dataset(config))
     first = configs[0]
     check_loggers(first.log)
+    engine_name(first.engine, make_task(first.task))
     weights = starting_weights(configs)  # what cannot work is told before anything is made
     check_same("settings", to_json(replace(first, run_dir="", data_dir="", dataset="")))
     with ExitStack() as stack:
         runs = [stack.enter_context(RunDir.open(c)) if is_first() else None for c in configs]
         try:
             return _train(configs, runs, weights, console)
-        except KeyboardInterrupt:
+        except Stopped as stopped:
             _say_how_to_go_on(console, "Stopped; what is done is kept.")
-            return 130
+            return stopped.exit_code
 
 
 def _train(
@@ -85,7 +86,8 @@ def _train(
     dataset = training_data(configs, console)
     check_same("demonstrations", dataset.fingerprint)
     policy = policy_of(configs[0], dataset.stats())
-    with interrupts() as stop:  # only here is there something to save
+    answer = "Stopping after this update; once more stops now, without saving."
+    with interrupts(answer, raises=False) as stop:  # only here is there something to save
         states = Trainer(configs[0], dataset, policy, stop, console).fit(configs, runs, weights)
     if any(gathered(bool(stop))):
         steps = ", ".join(str(step) for step in sorted({int(s.step) for s in states}))
@@ -202,7 +204,7 @@ def _finish(
         return
     _log_success(run, step, estimate)
     rows = [row for row in read_rows(rows_file(run.path)) if row.step == step]
-    write_plots(run.path / "plots", read_jsonl(run.metrics), rows)
+    write_plots(run.path / "plots", read_metrics(run.path), rows)
     save(ray_picture(*evaluator.sight("test", 0)), run.path / "pictures" / "rays.png")
     report = write_report(run.path)
     if console:
@@ -212,7 +214,7 @@ def _finish(
 
 def _log_success(run: RunDir, step: int, estimate: Estimate) -> None:
     """Writes the result among the metrics, once."""
-    if any(row["step"] == step and "success_rate" in row for row in read_jsonl(run.metrics)):
+    if any(row["step"] == step and "success_rate" in row for row in read_metrics(run.path)):
         return
     rate = {"success_rate": estimate.value, "low": estimate.low, "high": estimate.high}
     run.log({"step": step, **rate, "pairs": estimate.clusters})

@@ -15,11 +15,11 @@ from jaxcam.config.names import PolicyName, names_of
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
 from jaxcam.files.jsonl import read_jsonl
+from jaxcam.interrupts import Interrupt
 from jaxcam.models import PolicySpec, make_policy, policy_settings
 from jaxcam.pipeline import train
 from jaxcam.runs.folder import RunDir
 from jaxcam.runs.identity import resolve
-from jaxcam.runs.interrupts import Interrupt
 from jaxcam.training.checkpoint import load_policy_inputs, rebuild_policy
 from jaxcam.training.digests import read_all
 from jaxcam.training.loop import Trainer

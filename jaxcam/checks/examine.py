@@ -21,6 +21,7 @@ from jaxcam.checks.run import check_run
 from jaxcam.config.commands import CheckConfig
 from jaxcam.errors import ConfigError, DatasetError, SimError
 from jaxcam.files.paths import absolute
+from jaxcam.files.whole import check_free
 from jaxcam.interop.formats import read as read_any
 from jaxcam.interop.formats import recognise
 
@@ -113,11 +114,19 @@ def main(config: CheckConfig, console: Console) -> int:
         show(findings, console)
         console.print("The first four are all that the MuJoCo tasks need.")
     else:
+        page = _page(config)
+        check_free(page, (absolute(config.target),))
+        if not page.exists() and (overlays := page.with_suffix(".png")).exists():
+            raise ConfigError(
+                f"{overlays} is there, where the page's pictures go. Choose another --out."
+            )
         report = examine(absolute(config.target), config.episodes, console)
         findings = report.findings
         show(findings, console)
         try:
-            console.print(f"Page: {write_page(report, _page(config))}", soft_wrap=True)
+            console.print(f"Page: {write_page(report, page)}", soft_wrap=True, markup=False)
         except OSError as error:
-            console.print(f"The page cannot be written ({error}): choose another --out.")
+            console.print(
+                f"The page cannot be written ({error}): choose another --out.", markup=False
+            )
     return int(worst(findings) == "bad")

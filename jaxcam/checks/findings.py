@@ -30,6 +30,12 @@ class Finding:
     fix: str = ""
     """How to mend it, or to get what is missing."""
 
+    def __post_init__(self) -> None:
+        """Writes halves of characters as what stands for them: they cannot be shown or stored."""
+        for name in ("got", "expected", "where", "fix"):
+            text = getattr(self, name).encode("utf-8", "backslashreplace").decode("utf-8")
+            object.__setattr__(self, name, text)
+
 
 def good(what: str, *, got: str, where: str = "") -> Finding:
     """A finding that nothing is wrong."""

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from jaxcam.checks.findings import Finding, named
 from jaxcam.data.demos import Demos
-from jaxcam.files.jsonl import write_atomically
+from jaxcam.files.whole import whole, write_atomically
 from jaxcam.reports.camera_figures import camera_poses
 from jaxcam.reports.html import embedded, render
 from jaxcam.reports.style import BLUE, GREY, save, side_by_side, styled
@@ -66,7 +66,9 @@ def write_page(report: Report, path: Path) -> Path:
 def write_png(path: Path, picture: np.ndarray) -> Path:
     """Writes a picture, uint8 RGB, as small as PNG can."""
     settings = [cv2.IMWRITE_PNG_COMPRESSION, 9]
-    cv2.imwrite(str(path), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), settings)
+    content = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), settings)[1]
+    with whole(path) as part:
+        part.write_bytes(content.tobytes())
     return path
 
 

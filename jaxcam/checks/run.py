@@ -1,7 +1,7 @@
 """Whether a run folder is whole, and what can still be done with it."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,18 +11,19 @@ from rich.console import Console
 from jaxcam.checks.evaluations import check_evaluations
 from jaxcam.checks.findings import Finding, bad, good, note
 from jaxcam.config.datasets import CollectConfig
-from jaxcam.config.fields import from_json
 from jaxcam.config.train import TrainConfig
 from jaxcam.console.progress import progress
 from jaxcam.console.words import some
 from jaxcam.data.collection import dataset_path
 from jaxcam.data.demos import read_demos
 from jaxcam.errors import JaxcamError
-from jaxcam.files.jsonl import read_jsonl
 from jaxcam.files.paths import absolute, home
 from jaxcam.runs.environment import environment
+from jaxcam.runs.identity import stored_config, unlike
+from jaxcam.runs.manifests import DamagedError
+from jaxcam.runs.metrics import read_metrics
 from jaxcam.training.checkpoint import checkpoint_steps
-from jaxcam.training.digests import DamagedError, read_all
+from jaxcam.training.digests import read_all
 from jaxcam.training.side import CONVENTION
 
 LEAST_GOOD = 0.9
@@ -47,28 +48,45 @@ def check_run(folder: Path, console: Console | None = None) -> Iterator[Finding]
         console: For progress; silent when None.
     """
     try:
-        config = from_json(TrainConfig, (folder / "config.json").read_text("utf-8"))
-    except (JaxcamError, OSError, UnicodeDecodeError) as error:
+        config = stored_config(folder)
+    except JaxcamError as error:
         yield bad(
             "configuration",
             got=str(error),
             where="config.json",
             fix=(
-                "Checkpoints hold a copy: python -m jaxcam.evaluate still works. To go "
-                "on training, restore the file."
+                "Checkpoints hold a copy of the settings, in manifest/metadata: restore the "
+                "file from there."
             ),
         )
         return
     what = f"{config.policy} on {config.task}, {config.scene}; {config.conditioning}"
     yield good("configuration", got=f"{what}, seed {config.seed}")
-    checkpoints = _verify(folder, console)
-    yield from _checkpoints(checkpoints)
-    yield from _set_aside(folder)
-    yield _dataset(folder, config, checkpoints)
-    yield _metrics(folder)
-    yield from check_evaluations(folder, config.pairs)
-    yield _environment(folder)
-    yield _what_next(config, sorted(checkpoints.sides))
+    checkpoints = Verified({}, {})
+    try:
+        checkpoints = _verify(folder, console)
+    except OSError as error:
+        yield bad("checkpoints", got=f"cannot be read: {error}")
+    parts = {
+        "configuration": lambda: _misfits(config, checkpoints),
+        "checkpoints": lambda: _checkpoints(checkpoints),
+        "set aside": lambda: _set_aside(folder),
+        "dataset": lambda: [_dataset(folder, config, checkpoints)],
+        "metrics": lambda: [_metrics(folder)],
+        "evaluation": lambda: check_evaluations(folder, config.pairs),
+        "environment": lambda: [_environment(folder)],
+        "what it can do": lambda: [_what_next(config, sorted(checkpoints.sides))],
+    }
+    for what, part in parts.items():
+        yield from _readable(what, part)
+
+
+def _readable(what: str, part: Callable[[], Iterable[Finding]]) -> Iterator[Finding]:
+    """A part's findings, or that its files cannot be read."""
+    try:
+        yield from part()
+    except (JaxcamError, OSError, UnicodeError) as error:
+        yield bad(what, got=f"cannot be read: {error}")
 
 
 def _verify(folder: Path, console: Console | None) -> Verified:
@@ -79,10 +97,23 @@ def _verify(folder: Path, console: Console | None) -> Verified:
             try:
                 manifest, _ = read_all(folder / "checkpoints" / str(step))
                 verified.sides[step] = manifest["side"]
-            except DamagedError as error:
+            except (DamagedError, OSError) as error:
                 verified.damaged[step] = str(error)
             advance()
     return verified
+
+
+def _misfits(config: TrainConfig, verified: Verified) -> Iterator[Finding]:
+    """Whether config.json is what the checkpoints were trained with."""
+    for step, side in verified.sides.items():
+        if misfits := unlike(config, side):
+            yield bad(
+                "configuration",
+                got="; ".join(misfits),
+                expected="what the checkpoint was trained with",
+                where=f"config.json and step {step}",
+                fix="One of them is of another run, or was edited: restore it.",
+            )
 
 
 def _checkpoints(verified: Verified) -> Iterator[Finding]:
@@ -155,7 +186,7 @@ def _dataset(folder: Path, config: TrainConfig, checkpoints: Verified) -> Findin
 def _metrics(folder: Path) -> Finding:
     what = "metrics"
     try:
-        rows = read_jsonl(folder / "metrics.jsonl")
+        rows = read_metrics(folder)
     except JaxcamError as error:
         return bad(what, got=str(error), fix="Cut the file before that line.")
     if not rows:
@@ -189,7 +220,11 @@ def _environment(folder: Path) -> Finding:
     what, file = "environment", folder / "env.txt"
     if not file.is_file():
         return note(what, got="not written down", where="env.txt")
-    then = dict(line.split(" ", 1) for line in file.read_text("utf-8").splitlines() if " " in line)
+    then = dict(
+        line.split(" ", 1)
+        for line in file.read_text("utf-8", "replace").splitlines()
+        if " " in line
+    )
     now = environment()
     changed = [f"{k} {v} → {now.get(k, 'gone')}" for k, v in then.items() if now.get(k) != v]
     if not changed:

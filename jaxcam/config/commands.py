@@ -5,7 +5,7 @@ from typing import Annotated
 
 import tyro
 
-from jaxcam.config.fields import check_least, check_rotations, check_types
+from jaxcam.config.fields import check_least, check_most, check_rotations, check_types
 from jaxcam.config.flags import default
 from jaxcam.config.names import (
     ActionSpace,
@@ -62,6 +62,7 @@ class EvaluateConfig:
         check_types(self)
         check_least(self, 1, "pairs width")
         check_least(self, 0, "step videos")
+        check_most(self, 1_000_000, "pairs width videos")
         check_least(self, -1, "ensemble")
         if not self.run:
             raise ConfigError("No run is given. Name one run folder or several.")
@@ -87,6 +88,8 @@ class ReportConfig:
 
     def __post_init__(self) -> None:
         check_types(self)
+        if not self.runs:
+            raise ConfigError("No run is given. Name run folders, or folders that hold some.")
 
 
 @dataclass(frozen=True)
@@ -108,6 +111,7 @@ class CheckConfig:
     def __post_init__(self) -> None:
         check_types(self)
         check_least(self, 0, "episodes")
+        check_most(self, 1_000_000, "episodes")
         if self.env and self.target:
             raise ConfigError("Give --env or something to check, not both.")
         if not (self.env or self.target):
@@ -133,7 +137,9 @@ class SweepConfig:
     def __post_init__(self) -> None:
         check_types(self)
         check_least(self, 1, "jobs")
+        check_most(self, 1000, "jobs")
         check_least(self, 0, "retries")
+        check_most(self, 1_000_000, "retries")
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,13 @@ from typing import Annotated, Self
 
 import tyro
 
-from jaxcam.config.fields import check_least, check_types, check_window
+from jaxcam.config.fields import (
+    check_least,
+    check_most,
+    check_seeds,
+    check_types,
+    check_window,
+)
 from jaxcam.config.flags import PRESET, FromPreset, default
 from jaxcam.config.names import (
     ActionSpace,
@@ -14,7 +20,7 @@ from jaxcam.config.names import (
     SceneName,
     TaskName,
 )
-from jaxcam.config.train import TrainConfig
+from jaxcam.config.train import MOST_DEMOS, MOST_PIXELS, TrainConfig
 from jaxcam.errors import ConfigError
 
 
@@ -48,7 +54,9 @@ class CollectConfig:
     def __post_init__(self) -> None:
         check_types(self)
         check_least(self, 1, "demos n")
-        check_least(self, 0, "validation m seed")
+        check_least(self, 0, "validation m")
+        check_most(self, MOST_DEMOS, "demos validation n m")
+        check_seeds(self.seed)
         check_window(self.n, self.m)
 
 
@@ -92,6 +100,7 @@ class ImportConfig:
         check_types(self)
         check_least(self, 1, "n")
         check_least(self, 0, "validation m")
+        check_most(self, MOST_DEMOS, "validation n m")
         check_window(self.n, self.m)
 
 
@@ -133,5 +142,6 @@ class LerobotConfig:
     def __post_init__(self) -> None:
         check_types(self)
         check_least(self, 16, "resolution")
+        check_most(self, MOST_PIXELS, "resolution")
         if self.resolution % 2:
             raise ConfigError(f"resolution must be even for video, got {self.resolution}.")

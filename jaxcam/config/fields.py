@@ -4,6 +4,8 @@ import ast
 import dataclasses
 import json
 import math
+import os
+import reprlib
 import types
 import typing
 from collections.abc import Iterable
@@ -19,6 +21,8 @@ class Settings(Protocol):
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
 
+_SHORT = reprlib.Repr()
+_SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = 100
 C = TypeVar("C", bound=Settings)
 
 
@@ -27,32 +31,65 @@ def to_json(config: Settings) -> str:
     return json.dumps(dataclasses.asdict(config), indent=2) + "\n"
 
 
-def from_json(kind: type[C], text: str) -> C:
+def from_json(kind: type[C], text: str, what: str = "configuration") -> C:
     """The config a JSON text holds.
 
     Args:
         kind: Config class.
         text: What `to_json` wrote. Settings it lacks, because it is older, take their defaults, or
             what the class says that they were (`completed`).
+        what: Of which file, for messages.
 
     Raises:
         ConfigError: The text is not JSON, or a name or value in it is not this class's.
     """
     try:
         values = json.loads(text)
-    except ValueError as error:
-        raise ConfigError(f"The configuration is not JSON: {error}.") from error
+    except (ValueError, RecursionError) as error:  # The last is of lists inside of lists.
+        raise ConfigError(f"The {what} is not JSON: {error}.") from error
+    return as_record(kind, values, what)
+
+
+def as_record(kind: type[C], values: Any, what: str = "configuration") -> C:
+    """The record that the values of a JSON text are: of known names, and of their types.
+
+    Args:
+        kind: A dataclass. Names that the values lack take its defaults.
+        values: The parsed text.
+        what: Of which file, for messages.
+
+    Raises:
+        ConfigError: The values are no object, or a name or a value is not this class's.
+    """
     if not isinstance(values, dict):
-        raise ConfigError(f"The configuration is a JSON {type(values).__name__}, not an object.")
+        raise ConfigError(f"The {what} is a JSON {type(values).__name__}, not an object.")
     values = cast("dict[str, Any]", values)
     completed = getattr(kind, "completed", None)
     values = completed(values) if completed else values
-    known = [f.name for f in dataclasses.fields(kind)]
+    known = {f.name: f for f in dataclasses.fields(kind)}
     for name in values:
         if name not in known:
-            raise ConfigError(f"Unknown setting '{name}'{closest(name, known)}.")
-    tuples = {k: tuple(cast("list[Any]", v)) for k, v in values.items() if isinstance(v, list)}
-    return kind(**values | tuples)
+            raise ConfigError(f"Unknown setting {name!r:.80}{closest(name, known)}.")
+    for name, field in known.items():
+        needed = dataclasses.MISSING is field.default is field.default_factory
+        if needed and name not in values:
+            raise ConfigError(f"The {what} has no '{name}'.")
+    hints = typing.get_type_hints(kind)
+    tuples = {
+        name: tuple(cast("list[Any]", value))
+        for name, value in values.items()
+        if isinstance(value, list) and list not in _kinds(hints[name])
+    }
+    record = kind(**values | tuples)
+    check_types(record, where=f"{what}: " if what != "configuration" else "")
+    return record
+
+
+def short(value: Any) -> str:
+    """A value for a message: as Python writes it, without all of what is long or nested."""
+    if type(value) is int and abs(value) >= 2**63:
+        return f"a whole number of {value.bit_length()} bits"
+    return _SHORT.repr(value)
 
 
 def fill(config: C, **values: Any) -> C:
@@ -73,7 +110,7 @@ def overrides(pairs: Iterable[str]) -> dict[str, Any]:
             raise ConfigError(f"model: '{name}' is given twice.")
         try:
             values[name] = ast.literal_eval({"true": "True", "false": "False"}.get(text, text))
-        except (ValueError, SyntaxError):
+        except (ValueError, SyntaxError, RecursionError, MemoryError):
             values[name] = text
     return values
 
@@ -93,13 +130,17 @@ def with_overrides(settings: C, pairs: Iterable[str]) -> C:
     for name in values:
         if name not in known:
             raise ConfigError(f"model: unknown setting '{name}'{closest(name, known)}.")
-    changed = dataclasses.replace(settings, **values)
-    check_types(changed, where="model: ")
-    return changed
+    # Types first: the settings' own checks compute with them.
+    hints = typing.get_type_hints(type(settings))
+    for name, value in values.items():
+        _check_type("model: ", name, value, hints[name])
+    return dataclasses.replace(settings, **values)
 
 
 def check_types(config: Settings, where: str = "") -> None:
     """Refuses values whose type is not the annotated one, and names that are unknown.
+
+    Numbers are finite and have at most 64 bits, and texts could be paths.
 
     Args:
         config: Settings.
@@ -109,14 +150,49 @@ def check_types(config: Settings, where: str = "") -> None:
         ConfigError: There is such a value; of a name the message has the closest that is known.
     """
     for field, hint in typing.get_type_hints(type(config)).items():
-        value = getattr(config, field)
-        kinds = _kinds(hint)
-        is_number = type(value) is int and float in kinds
-        if object not in kinds and type(value) not in kinds and not is_number:
-            wanted = " or ".join(k.__name__ for k in kinds)
-            raise ConfigError(f"{where}{field} must be {wanted}, got {value!r}.")
-        if names := names_of(hint):
-            _check_names(f"{where}Unknown {field}", value, names)
+        if typing.get_origin(hint) is not ClassVar:
+            _check_type(where, field, getattr(config, field), hint)
+
+
+def _check_type(where: str, field: str, value: Any, hint: Any) -> None:
+    kinds = _kinds(hint)
+    is_number = type(value) is int and float in kinds
+    if object not in kinds and type(value) not in kinds and not is_number:
+        wanted = " or ".join(k.__name__ for k in kinds)
+        raise ConfigError(f"{where}{field} must be {wanted}, got {short(value)}.")
+    if type(value) is int and abs(value) >= 2**63:
+        raise ConfigError(f"{where}{field} has more than 64 bits: {short(value)}.")
+    if type(value) is float and not math.isfinite(value):
+        raise ConfigError(f"{where}{field} must be finite, got {value}.")
+    if type(value) is str and not _can_be_name(value):
+        raise ConfigError(f"{where}{field} has what no file's name can: {short(value)}.")
+    for part_hint, part in _parts(hint, value):
+        _check_type(where, field, part, part_hint)
+    if not isinstance(value, tuple | list | dict) and (names := names_of(hint)):
+        _check_names(f"{where}Unknown {field}", value, names)
+
+
+def _can_be_name(text: str) -> bool:
+    """Whether a text could be a path: without a zero byte, and with nothing that is no letter."""
+    try:
+        return b"\0" not in os.fsencode(text)
+    except UnicodeEncodeError:
+        return False
+
+
+def _parts(hint: Any, value: Any) -> Iterable[tuple[Any, Any]]:
+    """What is in a list, a tuple or a dict, each part with what an annotation says of it."""
+    origin, args = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (typing.Union, types.UnionType):
+        same = (part for part in args if typing.get_origin(part) is type(value))
+        return _parts(next(same, Any), value)
+    if origin is dict:
+        return [pair for item in value.items() for pair in zip(args, item, strict=True)]
+    if origin is tuple and Ellipsis not in args:
+        if len(args) != len(value):
+            raise ConfigError(f"Expected {len(args)} values, got {short(value)}.")
+        return list(zip(args, value, strict=True))
+    return [(args[0], part) for part in value] if origin in (list, tuple) else []
 
 
 def _kinds(hint: Any) -> tuple[type, ...]:
@@ -131,9 +207,8 @@ def _kinds(hint: Any) -> tuple[type, ...]:
 
 
 def _check_names(what: str, value: Any, names: tuple[str, ...]) -> None:
-    for name in cast("tuple[Any, ...]", value) if isinstance(value, tuple) else (value,):
-        if name is not None and name not in names:
-            raise ConfigError(f"{what} '{name}'{closest(str(name), names)}.")
+    if value is not None and value not in names:
+        raise ConfigError(f"{what} {short(value)}{closest(str(value), names)}.")
 
 
 def check_least(config: Settings, least: float, fields: str, *, or_equal: bool = True) -> None:
@@ -151,6 +226,21 @@ def check_rotations(action_space: str, rotations: str) -> None:
     """Refuses rotations that the actions do not have."""
     if rotations != "nominal" and action_space != "eef_abs":
         raise ConfigError(f"rotations is for action_space eef_abs, not {action_space}.")
+
+
+def check_most(config: Settings, most: float, fields: str) -> None:
+    """Refuses settings above a bound."""
+    for field in fields.split():
+        value = getattr(config, field)
+        if value is not None and value > most:
+            raise ConfigError(f"{field} must be at most {most}, got {value}.")
+
+
+def check_seeds(*seeds: int) -> None:
+    """Refuses seeds that are not 0 to 2**32 - 1: JAX would give others the key of one of those."""
+    for seed in seeds:
+        if not 0 <= seed < 2**32:
+            raise ConfigError(f"A seed must be 0 to {2**32 - 1}, got {seed}.")
 
 
 def check_window(n: int | None, m: int | None) -> None:

@@ -11,7 +11,9 @@ import tyro
 
 from jaxcam.config.fields import (
     check_least,
+    check_most,
     check_rotations,
+    check_seeds,
     check_types,
     check_window,
     overrides,
@@ -33,6 +35,11 @@ from jaxcam.config.names import (
     TaskName,
 )
 from jaxcam.errors import ConfigError
+
+MOST_DEMOS = 100_000
+"""Demonstrations, and cameras of one: episode seeds of more would reach those of the pairs."""
+MOST_PIXELS = 4096
+"""Side of a picture."""
 
 
 @dataclass(frozen=True)
@@ -162,16 +169,23 @@ class TrainConfig:
         check_rotations(self.action_space, self.rotations)
         check_least(self, 1, "views steps batch n demos pairs keep log_every eval_every")
         check_least(self, 1, "save_every steps_per_call accumulate")
-        check_least(self, 0, "seed warmup weight_decay m validation ema ema_power clip_norm")
+        check_least(self, 0, "warmup weight_decay m validation ema ema_power clip_norm")
         check_least(self, 0, "final_lr beta1 beta2 videos")
         check_least(self, 16, "resolution")
         check_least(self, 0, "lr crop_min", or_equal=False)
         check_least(self, -1, "ensemble")
+        check_most(self, 2**31 - 1, "steps log_every eval_every save_every warmup")
+        check_most(self, 1_000_000, "batch accumulate keep steps_per_call pairs videos")
+        check_most(self, MOST_DEMOS, "demos validation n m")
+        check_most(self, MOST_PIXELS, "resolution")
+        check_seeds(self.seed, *self.seeds)
         _check_shares(self)
         _check_cameras(self)
         _check_updates(self)
-        if len(set(self.seeds)) < len(self.seeds) or min(self.seeds, default=0) < 0:
-            raise ConfigError(f"seeds must be different and at least 0, got {self.seeds}.")
+        if len(set(self.seeds)) < len(self.seeds):
+            raise ConfigError(f"seeds must be different, got {self.seeds}.")
+        if self.seeds and self.seed:
+            raise ConfigError("Give --seed or --seeds, not both.")
         overrides(self.model)
 
 

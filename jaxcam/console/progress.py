@@ -16,6 +16,8 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from jaxcam.interrupts import check_stop
+
 LINE_SECONDS = 60.0
 """Between the lines in a file, such as the log of a job on a cluster."""
 
@@ -33,10 +35,11 @@ def progress(
         done: Steps that are done already.
 
     Yields:
-        `advance(steps=1, note="")`, to be called as steps are done.
+        `advance(steps=1, note="")`, to be called as steps are done, when nothing is half-way: it
+        raises `jaxcam.interrupts.Stopped` if a signal asked to stop and nobody else looks for it.
     """
     if console is None:
-        yield lambda steps=1, note="": None
+        yield lambda steps=1, note="": check_stop()
         return
     if not console.is_terminal:
         lines = _Lines(console, what, total, done)
@@ -60,6 +63,7 @@ def progress(
             bar.update(task, advance=steps)
             if note:
                 bar.update(task, note=note)
+            check_stop()
 
         yield advance
 
@@ -76,6 +80,7 @@ class _Lines:
     def advance(self, steps: int = 1, note: str = "") -> None:
         self._done += steps
         self._note = note or self._note
+        check_stop()
         now = time.monotonic()
         if now - self._shown < LINE_SECONDS or self._done == self._first:
             return

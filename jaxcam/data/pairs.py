@@ -9,14 +9,16 @@ evaluation goes on.
 import hashlib
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxcam.config.fields import as_record, from_json
 from jaxcam.data.splits import SPLITS
-from jaxcam.errors import DatasetError
-from jaxcam.files.jsonl import write_atomically
+from jaxcam.errors import ConfigError, DatasetError
+from jaxcam.files.whole import write_atomically
 from jaxcam.rays import sample_poses
 from jaxcam.sim.task import Task, starts
 from jaxcam.sim.types import Start
@@ -59,6 +61,49 @@ def make_pairs(task: Task, scene: World, views: int, split: str, numbers: Sequen
     return Pairs(seeds, cameras, starts(task, scene, seeds))
 
 
+@dataclass(frozen=True)
+class StoredPairs:
+    """What a file of pairs holds."""
+
+    sha256: str
+    """Of the digests of all pairs."""
+    pairs: list[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class StoredPair:
+    """A pair as it is written down."""
+
+    episode_seed: int
+    cameras: list[Any]
+    sha: str
+
+
+def read_digests(file: Path) -> list[str]:
+    """The digests of the pairs that were written down; none if there is no such file.
+
+    Args:
+        file: JSON file beside the rows.
+
+    Raises:
+        DatasetError: The file is damaged.
+    """
+    if not file.is_file():
+        return []
+    try:
+        stored = from_json(StoredPairs, file.read_text("utf-8"), "file of pairs")
+        digests = [as_record(StoredPair, pair, "file of pairs").sha for pair in stored.pairs]
+    except (OSError, UnicodeDecodeError, ConfigError) as error:
+        raise DatasetError(f"{file} cannot be read: {error}") from error
+    if _whole(digests) != stored.sha256:
+        raise DatasetError(f"{file} has changed since it was written.")
+    return digests
+
+
+def _whole(digests: Sequence[str]) -> str:
+    return hashlib.sha256("".join(digests).encode()).hexdigest()
+
+
 def store_pairs(file: Path, pairs: Pairs) -> None:
     """Write down the pairs 0, 1, ... of an evaluation, or check that they are those written down.
 
@@ -70,11 +115,11 @@ def store_pairs(file: Path, pairs: Pairs) -> None:
         DatasetError: A pair is not what it was when rows were written.
     """
     digests = pairs.digests()
-    stored = json.loads(file.read_text("utf-8"))["pairs"] if file.is_file() else []
+    stored = read_digests(file)
     for number, (old, new) in enumerate(zip(stored, digests, strict=False)):
-        if old["sha"] != new:
+        if old != new:
             raise DatasetError(
-                f"{file}: pair {number} was {old['sha']} and is {new} now, so this version starts "
+                f"{file}: pair {number} was {old} and is {new} now, so this version starts "
                 "it from another state or sees it from other cameras. Rows of both would not be "
                 f"comparable: move {file.parent} away to evaluate this run anew."
             )
@@ -82,5 +127,4 @@ def store_pairs(file: Path, pairs: Pairs) -> None:
         return
     each = zip(pairs.seeds, pairs.cameras.tolist(), digests, strict=True)
     records = [{"episode_seed": s, "cameras": c, "sha": d} for s, c, d in each]
-    whole = hashlib.sha256("".join(digests).encode()).hexdigest()
-    write_atomically(file, json.dumps({"sha256": whole, "pairs": records}) + "\n")
+    write_atomically(file, json.dumps({"sha256": _whole(digests), "pairs": records}) + "\n")

@@ -15,12 +15,12 @@ from jaxcam.devices import gathered, is_first, joined
 from jaxcam.errors import CheckpointError, JaxcamError
 from jaxcam.evaluation.checkpoint import Wanted, evaluate, rows_of
 from jaxcam.evaluation.evaluator import Candidate, Evaluator
-from jaxcam.files.jsonl import read_jsonl
 from jaxcam.files.paths import absolute
 from jaxcam.reports.run_figures import write_plots
 from jaxcam.reports.run_page import write_report
 from jaxcam.results.protocol import missing, protocol_of
 from jaxcam.results.stats import latest_rows, success_rate
+from jaxcam.runs.metrics import read_metrics
 from jaxcam.runs.rollouts import read_rows, rows_file
 from jaxcam.training.checkpoint import checkpoint_steps, load_policy_inputs, rebuild_policy
 
@@ -70,7 +70,7 @@ def _conclude(
         for r in latest_rows(read_rows(rows_file(folder)))
         if r.step in steps and r.split == config.split and r.pair < config.pairs
     ]
-    write_plots(folder / "plots", read_jsonl(folder / "metrics.jsonl"), rows)
+    write_plots(folder / "plots", read_metrics(folder), rows)
     report = write_report(folder)
     if console:
         what = f"{len(steps)} checkpoints" if len(steps) > 1 else f"step {steps[0]}"

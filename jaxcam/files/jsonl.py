@@ -1,4 +1,4 @@
-"""Files of JSON lines, and files that are written whole or not at all."""
+"""Files of JSON lines."""
 
 import json
 import os
@@ -33,30 +33,28 @@ def read_jsonl(path: str | Path) -> list[dict[str, Any]]:
     """Rows of a file of JSON lines; none if it is missing. A torn last line is left out.
 
     Raises:
-        DatasetError: A line before the last one is damaged.
+        DatasetError: A line before the last one is damaged or no object, or the file is none.
     """
     path = Path(path)
     if not path.exists():
         return []
+    if not path.is_file():
+        raise DatasetError(f"{path} is no file.")
     rows = []
-    whole, _, _ = path.read_bytes().rpartition(b"\n")
+    try:
+        whole, _, _ = path.read_bytes().rpartition(b"\n")
+    except OSError as error:
+        raise DatasetError(f"{path} cannot be read: {error.strerror}.") from error
     for number, line in enumerate(whole.splitlines(), start=1):
         try:
             row = json.loads(line)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise DatasetError(f"{path}, line {number}, is damaged: {line[:80]!r}.") from error
+        if not isinstance(row, dict):
+            wanted = "expected names with values"
+            raise DatasetError(f"{path}, line {number}: {wanted}, got {line[:80]!r}.")
         rows.append(row)
     return rows
-
-
-def write_atomically(path: Path, text: str) -> None:
-    """Write a file so that a crash leaves the old content or the new, never a part."""
-    part = path.with_name(path.name + ".part")
-    with open(part, "w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    part.replace(path)
 
 
 def _cut_torn_line(file: Any) -> None:

@@ -5,6 +5,7 @@ The kernel frees a lock when its holder ends, even by `kill -9`. The lock's file
 
 import contextlib
 import datetime
+import fcntl
 import os
 import socket
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ from filelock import FileLock, Timeout
 from rich.console import Console
 
 from jaxcam.errors import DatasetError, JaxcamError
+from jaxcam.interrupts import check_stop
 
 
 @contextlib.contextmanager
@@ -34,12 +36,13 @@ def exclusive(path: Path, console: Console | None = None) -> Iterator[None]:
             lock.acquire(blocking=False)
         except Timeout:
             if console:
-                console.print(f"Waiting for the process that is making {path.name}.")
-            lock.acquire()
+                console.print(f"Waiting for the process that is making {path.name}.", markup=False)
+            while not _acquired(lock):
+                check_stop()
     except OSError as error:
         raise DatasetError(
-            f"Cannot write to {path.parent}: {error.strerror}. Choose another --data-dir, or make "
-            "room or get permission."
+            f"Cannot write to {path.parent}: {error.strerror}. Get permission, make room, or "
+            "choose another place."
         ) from error
     try:
         yield
@@ -94,14 +97,35 @@ class NamedLock:
             raise
         return before
 
+    def held_by(self) -> str:
+        """What its holder says of itself; empty if nobody holds it. The lock stays as it is."""
+        try:
+            with open(self._path, "rb") as file:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return self._holder() or "a process just starting"
+        except OSError:
+            return ""
+        return ""
+
     def free(self) -> None:
         """Let others take it; nothing if it is free."""
         if self._lock.is_locked:
-            os.truncate(self._path, 0)
+            with contextlib.suppress(FileNotFoundError):  # its folder may have been moved away
+                os.truncate(self._path, 0)
             self._lock.release()
 
     def _holder(self) -> str:
         return self._path.read_text("utf-8", errors="replace")[:1000].strip()
+
+
+def _acquired(lock: FileLock) -> bool:
+    """Whether the lock could be taken within half a second."""
+    try:
+        lock.acquire(timeout=0.5)
+    except Timeout:
+        return False
+    return True
 
 
 def _lock(path: Path) -> FileLock:

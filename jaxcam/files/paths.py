@@ -18,3 +18,8 @@ def absolute(path: str | Path) -> Path:
     """
     given = home(path).absolute()
     return given.resolve() if ".." in given.parts else given
+
+
+def inside(file: Path, folder: Path) -> bool:
+    """Whether a file lies in a folder in truth: links in the folder that lead out of it do not."""
+    return file.resolve().is_relative_to(folder.resolve())

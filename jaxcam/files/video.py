@@ -3,8 +3,10 @@
 PyAV carries libx264 in its wheel, so nothing else has to be installed.
 """
 
+import contextlib
 import math
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
 
@@ -15,6 +17,7 @@ from av.video.frame import VideoFrame
 from av.video.reformatter import ColorPrimaries, ColorRange, Colorspace, ColorTrc
 from av.video.stream import VideoStream
 
+from jaxcam.files.whole import whole
 from jaxcam.results.rows import Row
 
 _BACKGROUND = (24, 26, 30)
@@ -56,8 +59,8 @@ class VideoFile:
         key_every: int | None = None,
     ) -> None:
         self.path = Path(path)
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        self.part = self.path.with_name(self.path.name + ".part")
+        self._place = contextlib.ExitStack()
+        self.part = self._place.enter_context(whole(self.path))
         self.length = 0
         self._even = ((0, 0), (0, height % 2), (0, width % 2), (0, 0))
         options = {"movflags": "faststart"}
@@ -74,16 +77,21 @@ class VideoFile:
         context = stream.codec_context
         context.colorspace, context.color_range = Colorspace.ITU709, ColorRange.MPEG
         context.color_primaries, context.color_trc = ColorPrimaries.BT709, ColorTrc.BT709
+        self._place.enter_context(self._closing())
 
     def __enter__(self) -> "VideoFile":
         return self
 
     def __exit__(self, kind: object, *_: object) -> None:
-        if kind is None:
+        self._place.__exit__(*(sys.exc_info() if kind is not None else (None, None, None)))
+
+    @contextlib.contextmanager
+    def _closing(self) -> Iterator[None]:
+        try:
+            yield
             self._container.mux(self._stream.encode())
-        self._container.close()
-        if kind is None:
-            self.part.replace(self.path)
+        finally:
+            self._container.close()
 
     def add(self, pictures: np.ndarray) -> None:
         """Appends pictures, uint8 [T, H, W, 3], RGB."""

@@ -3,8 +3,9 @@
 from dataclasses import replace
 from typing import Any
 
-from jaxcam.config.fields import with_overrides
+from jaxcam.config.fields import overrides, with_overrides
 from jaxcam.config.train import TrainConfig
+from jaxcam.errors import ConfigError
 from jaxcam.models.act.config import ACT_PRESETS, ActConfig
 from jaxcam.models.act.policy import FAMILY as ACT
 from jaxcam.models.diffusion.policy import FAMILY as DIFFUSION
@@ -66,4 +67,8 @@ def policy_settings(config: TrainConfig, prompt: str) -> Any:
     family = FAMILIES[config.policy]
     settings = family.conditioned(family.presets[config.preset], config.conditioning)
     settings = with_overrides(replace(settings, compute_dtype=config.precision), config.model)
+    ahead = settings.chunk - settings.obs_steps + 1
+    # A preset's number may be more than a chunk that is shortened has; one that is asked may not.
+    if "execute" in overrides(config.model) and settings.execute > ahead:
+        raise ConfigError(f"model: execute must be at most {ahead}, got {settings.execute}.")
     return family.instructed(settings, prompt)

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Literal, TypeVar
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 
+from jaxcam.config.fields import check_least
 from jaxcam.config.names import Conditioning, names_of
 from jaxcam.errors import ConfigError, closest
 from jaxcam.models.resnet import NORMS
@@ -42,7 +43,9 @@ class CameraConfig:
     """Observations the policy sees at once."""
 
     def __post_init__(self) -> None:
-        """Refuse names that do not exist."""
+        """Refuse names that do not exist, and a pose that is no matrix."""
+        if [len(row) for row in self.nominal_pose] != [4, 4, 4, 4]:
+            raise ConfigError(f"nominal_pose must be 4 rows of 4 numbers, got {self.nominal_pose}.")
         check_known(
             self,
             conditioning=names_of(Conditioning),
@@ -105,6 +108,8 @@ class VisionConfig(CameraConfig):
     def __post_init__(self) -> None:
         """Refuse names that do not exist."""
         super().__post_init__()
+        check_least(self, 1, "encoder_depth encoder_width keypoints")
+        check_least(self, 0, "heat_gain")
         check_known(
             self,
             encoder=("resnet18", "small"),

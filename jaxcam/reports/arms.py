@@ -6,6 +6,7 @@ from a results folder (`rows.jsonl` and `runs.json`), which `write_results` make
 
 import functools
 import json
+import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,8 +14,10 @@ from typing import Any
 
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, DatasetError
-from jaxcam.files.jsonl import append_jsonl, read_jsonl, write_atomically
+from jaxcam.files.jsonl import line_of, read_jsonl
+from jaxcam.files.locks import exclusive
 from jaxcam.files.paths import absolute
+from jaxcam.files.whole import write_atomically
 from jaxcam.results.protocol import Protocol, counted, lacks, protocol_of
 from jaxcam.results.rows import USUAL_WAY, Row
 from jaxcam.results.stats import (
@@ -25,6 +28,8 @@ from jaxcam.results.stats import (
     success_rate,
 )
 from jaxcam.runs.identity import Settings, changes, identity, plain, read_config
+from jaxcam.runs.manifests import sides
+from jaxcam.runs.metrics import read_metrics
 from jaxcam.runs.rollouts import read_rows, rows_file
 
 _SHARED = ("task", "scene", "policy", "conditioning")
@@ -141,7 +146,7 @@ def read_runs(paths: Iterable[str | Path], split: str = "test") -> list[Run]:
     """
     runs: dict[str, Run] = {}
     for path in map(absolute, paths):
-        folders = list(_find(path))
+        folders = list(_find(path, set()))
         if not folders:
             raise ConfigError(
                 f"No run in {path}: neither it nor a folder below it has a config.json or a "
@@ -176,13 +181,10 @@ def write_results(folder: Path, runs: Sequence[Run]) -> None:
         {"run": i, "name": run.name, "seed": run.seed, "seconds": round(run.seconds), "settings":
          run.settings} for i, run in enumerate(runs)
     ]  # fmt: skip
-    write_atomically(folder / "runs.json", json.dumps(records, indent=1) + "\n")
-    part = folder / "rows.jsonl.part"
-    part.unlink(missing_ok=True)
-    for i, run in enumerate(runs):
-        append_jsonl(part, *({"run": i, **_brief(row)} for row in run.rows))
-    if part.exists():
-        part.replace(folder / "rows.jsonl")
+    rows = ({"run": i, **_brief(row)} for i, run in enumerate(runs) for row in run.rows)
+    with exclusive(folder / "rows.jsonl"):  # a row's number is that of its run in the other file
+        write_atomically(folder / "rows.jsonl", "".join(map(line_of, rows)))
+        write_atomically(folder / "runs.json", json.dumps(records, indent=1) + "\n")
 
 
 def training_seconds(metrics: Sequence[Mapping[str, Any]]) -> float:
@@ -201,13 +203,16 @@ def training_seconds(metrics: Sequence[Mapping[str, Any]]) -> float:
     return total + last
 
 
-def _find(path: Path) -> Iterator[Path]:
-    """The run and results folders at or below a path."""
+def _find(path: Path, known: set[Path]) -> Iterator[Path]:
+    """The run and results folders at or below a path, each folder once: links may lead back."""
+    if not path.is_dir() or (real := path.resolve()) in known:
+        return
+    known.add(real)
     if any((path / name).is_file() for name in ("config.json", "rows.jsonl")):
         yield path
-    elif path.is_dir():
+    else:
         for child in sorted(path.iterdir()):
-            yield from _find(child)
+            yield from _find(child, known)
 
 
 def _read(folder: Path, split: str) -> list[Run]:
@@ -224,7 +229,9 @@ def _read_run(folder: Path, split: str) -> Run:
     settings = identity(config) | _ways(rows)
     if config.weights:
         settings["weights"] = _kind_of_weights(folder, config.weights)
-    seconds = training_seconds(read_jsonl(folder / "metrics.jsonl"))
+    if config.dataset:
+        settings["dataset"] = _content_of_data(folder, config.dataset)
+    seconds = training_seconds(read_metrics(folder))
     return Run(folder.name, folder, settings, config.seed, rows, seconds)
 
 
@@ -305,9 +312,19 @@ def _ways(rows: Iterable[Row]) -> Settings:
 
 
 def _kind_of_weights(folder: Path, name: str) -> str:
+    """What the weights are, and the start of their digest; their path if no record tells."""
     record = folder / "weights.json"
-    kind = json.loads(record.read_text("utf-8"))["kind"] if record.is_file() else None
-    return kind or Path(name).stem
+    if not record.is_file():
+        return os.path.normpath(name)
+    content = json.loads(record.read_text("utf-8"))
+    return f"{content['kind'] or Path(name).stem} {str(content.get('sha256', ''))[:8]}".rstrip()
+
+
+def _content_of_data(folder: Path, name: str) -> str:
+    """A dataset's name and the start of its fingerprint; its path if no checkpoint tells."""
+    for side in sides(folder).values():
+        return f"{Path(name).stem} {str(side['data'])[:8]}"
+    return os.path.normpath(name)
 
 
 def _brief(row: Row) -> Settings:

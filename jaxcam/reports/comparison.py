@@ -12,8 +12,9 @@ from pathlib import Path
 from rich.console import Console
 
 from jaxcam.config.commands import ReportConfig
-from jaxcam.files.jsonl import write_atomically
+from jaxcam.errors import ConfigError
 from jaxcam.files.paths import absolute
+from jaxcam.files.whole import check_free, write_atomically
 from jaxcam.reports import paper
 from jaxcam.reports.arms import Arm, Run, group, read_runs, write_results
 from jaxcam.reports.camera_figures import rate_by_camera
@@ -43,6 +44,9 @@ from jaxcam.reports.tables import (
     twins_of,
 )
 from jaxcam.results.protocol import protocol_of
+
+WRITTEN = ("report.md", "report.tex", "report.csv", "rows.jsonl", "runs.json", "figures")
+"""What is written beside the page."""
 
 
 def write_comparison(runs: Sequence[Run], out: Path, split: str = "test") -> Path:
@@ -177,13 +181,31 @@ def _relative(file: Path, folder: Path) -> str:
     return Path(os.path.relpath(file, folder)).as_posix()
 
 
+def _check_out(out: Path, runs: Sequence[Path]) -> None:
+    """Refuses a folder that is read, or that has files of ours' names which we did not write."""
+    if out.exists() and not out.is_dir():
+        raise ConfigError(f"{out} is there, and is no folder. Choose another --out.")
+    if any(out.exists() and run.exists() and out.samefile(run) for run in runs):
+        raise ConfigError(f"{out} is read here, so it is not written. Choose another --out.")
+    page = out / "report.html"
+    check_free(page)
+    if page.exists() and not (out / "config.json").exists():
+        return  # a report of ours, with all that is beside it
+    if there := [name for name in (*WRITTEN, "config.json") if (out / name).exists()]:
+        raise ConfigError(
+            f"{out} has {', '.join(there)}, but is no report of ours. Choose another --out."
+        )
+
+
 def main(config: ReportConfig, console: Console) -> None:
     """Runs the command."""
+    out = absolute(config.out)
+    _check_out(out, [absolute(run) for run in config.runs])
     runs = read_runs(config.runs, config.split)
-    written = write_comparison(runs, absolute(config.out), config.split)
+    written = write_comparison(runs, out, config.split)
     for arm in group(runs):
         s = arm.settings
         name = " ".join(str(s[k]) for k in ("policy", "task", "scene", "conditioning"))
         whole = f" [{', '.join(arm.lacks)}]" if arm.lacks else ""
         console.print(f"{name}, {arm.label()}: {arm.estimate}{whole}", markup=False, soft_wrap=True)
-    console.print(f"Report: {written}")
+    console.print(f"Report: {written}", markup=False, soft_wrap=True)

@@ -9,16 +9,17 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from jaxcam.config.fields import from_json
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
-from jaxcam.files.jsonl import read_jsonl, write_atomically
+from jaxcam.files.paths import inside
+from jaxcam.files.whole import write_atomically
 from jaxcam.reports import paper
 from jaxcam.reports.arms import training_seconds
 from jaxcam.reports.html import Embedded, embedded, render
 from jaxcam.results.rows import Row
 from jaxcam.results.stats import Estimate, by_field, latest_rows, success_rate
-from jaxcam.runs.identity import differences, plain, resolve
+from jaxcam.runs.identity import differences, plain, read_config, resolve
+from jaxcam.runs.metrics import read_metrics
 from jaxcam.runs.rollouts import read_rows, rows_file
 
 Metrics = Sequence[Mapping[str, Any]]
@@ -52,8 +53,8 @@ def write_report(run_dir: str | Path) -> Path:
     run = Path(run_dir)
     if not (run / "config.json").is_file():
         raise ConfigError(f"{run} is not the folder of a run: it has no config.json.")
-    config = from_json(TrainConfig, (run / "config.json").read_text("utf-8"))
-    metrics = read_jsonl(run / "metrics.jsonl")
+    config = read_config(run)
+    metrics = read_metrics(run)
     # Rows of validation pairs serve to choose settings; they are no result.
     rows = [row for row in latest_rows(read_rows(rows_file(run))) if row.split == "test"]
     newest = max((row.step for row in rows), default=0)
@@ -122,10 +123,11 @@ def _facts(config: TrainConfig, metrics: Metrics, rows: Sequence[Row], step: int
 
 
 def _figures(folder: Path) -> list[Embedded]:
-    """All PNG files of a folder, those we know first."""
+    """All PNG files of a folder of a run, those we know first, without links out of the run."""
     known = list(_PLOTS)
+    own = (f for f in folder.glob("*.png") if f.is_file() and inside(f, folder.parent))
     files = sorted(
-        folder.glob("*.png"),
+        own,
         key=lambda f: (known.index(f.stem) if f.stem in _PLOTS else len(known), f.name),
     )
     return [
@@ -176,7 +178,9 @@ def _commands(run_dir: str | Path, config: TrainConfig) -> list[list[str]]:
 
 def _environment(file: Path) -> str:
     """Versions and devices."""
-    return file.read_text("utf-8").strip() if file.is_file() else ""
+    if not file.is_file() or not inside(file, file.parent):
+        return ""
+    return file.read_text("utf-8", errors="replace").strip()
 
 
 def _degrees(value: float | None) -> str:

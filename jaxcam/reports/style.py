@@ -10,6 +10,8 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
+from jaxcam.files.whole import whole
+
 BLUE, VERMILION, INK, GREY, FAINT = (
     "#0072B2", "#D55E00", "#22262B", "#7A828C", "#E3E6EA",
 )  # fmt: skip
@@ -55,9 +57,8 @@ def save(figure: Figure, path: str | Path) -> Path:
         The path.
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with mpl.rc_context(STYLE):
-        figure.savefig(path, dpi=160)
+    with mpl.rc_context(STYLE), whole(path) as part:
+        figure.savefig(part, dpi=160)
     return path
 
 

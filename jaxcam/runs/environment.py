@@ -10,7 +10,7 @@ from pathlib import Path
 
 import jax
 
-from jaxcam.files.jsonl import write_atomically
+from jaxcam.files.whole import write_atomically
 
 _log = logging.getLogger(__name__)
 
@@ -42,14 +42,28 @@ def record_environment(folder: Path) -> None:
     """
     file = folder / "env.txt"
     text = "".join(f"{name} {value}\n" for name, value in environment().items())
-    before = file.read_text("utf-8") if file.exists() else text
+    before = file.read_text("utf-8", errors="replace") if file.exists() else text
     if before != text:
-        new = [line for line in text.splitlines() if line not in before.splitlines()]
-        _log.warning("The environment changed, so results are not bit-exact: now %s.",
-                     ", ".join(new) or "fewer packages")  # fmt: skip
+        _log.warning(
+            "The environment changed, so results are not bit-exact: %s.",
+            "; ".join(_changes(before, text)) or "its lines are in another order",
+        )
     write_atomically(file, text)
     if revision := git_revision(Path(__file__)):
         write_atomically(folder / "git.txt", revision)
+
+
+def _changes(before: str, now: str) -> list[str]:
+    """What differs between two texts of `record_environment`: each old value and the new one."""
+    then, today = (
+        {line.partition(" ")[0]: line.partition(" ")[2] for line in text.splitlines()}
+        for text in (before, now)
+    )
+    return [
+        f"{name} {then.get(name, 'none')} -> {today.get(name, 'none')}"
+        for name in sorted(then | today)
+        if then.get(name) != today.get(name)
+    ]
 
 
 def git_revision(file: Path) -> str | None:

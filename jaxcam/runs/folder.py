@@ -15,15 +15,23 @@ from typing import Any, Self
 
 from jaxcam.config.fields import to_json
 from jaxcam.config.train import TrainConfig
-from jaxcam.errors import ConfigError
-from jaxcam.files.jsonl import append_jsonl, line_of, read_jsonl, write_atomically
+from jaxcam.errors import CheckpointError, ConfigError
+from jaxcam.files.jsonl import append_jsonl, line_of
 from jaxcam.files.locks import InUseError, NamedLock
 from jaxcam.files.paths import absolute
+from jaxcam.files.whole import write_atomically
 from jaxcam.runs.environment import record_environment
 from jaxcam.runs.identity import differences, read_config
+from jaxcam.runs.metrics import read_metrics
 
 MIN_FREE = 500_000_000
 """Bytes that must be free before a run starts."""
+
+WRITTEN = (
+    "checkpoints", "metrics.jsonl", "command.txt", "env.txt", "git.txt", "weights.json", "damaged",
+    "report.html", "diverged.npz", "eval", "plots", "pictures", "videos",
+)  # fmt: skip
+"""What a run writes into its folder beside its config.json, which comes first."""
 
 _log = logging.getLogger(__name__)
 
@@ -84,14 +92,27 @@ class RunDir:
         """File of the metrics, one row a line."""
         return self.path / "metrics.jsonl"
 
+    def check_there(self) -> None:
+        """Make sure that the folder has not been renamed, moved or deleted.
+
+        Raises:
+            CheckpointError: It has.
+        """
+        if not (self.path / "config.json").is_file():
+            raise CheckpointError(
+                f"{self.path} was renamed, moved or deleted while its run trains, so nothing more "
+                "can be saved there. Its checkpoints are whole, wherever they are now: move it "
+                "back, or give its new place as --run-dir, and run the same command again."
+            )
+
     def log(self, row: Mapping[str, Any]) -> None:
         """Append a row to the metrics."""
         append_jsonl(self.metrics, row)
 
     def rewind(self, step: int) -> None:
         """Drop metrics of later steps, which a run resumed at `step` writes again."""
-        rows = read_jsonl(self.metrics)
-        kept = [row for row in rows if row.get("step", 0) <= step]
+        rows = read_metrics(self.path)
+        kept = [row for row in rows if row["step"] <= step]
         if len(kept) < len(rows):
             write_atomically(self.metrics, "".join(line_of(row) for row in kept))
 
@@ -100,14 +121,15 @@ class RunDir:
         stored = self.path / "config.json"
         if stored.exists():
             self._compare(read_config(self.path), config)
-        elif self.checkpoints.exists() and any(self.checkpoints.iterdir()):
+        elif there := sorted(name for name in WRITTEN if (self.path / name).exists()):
             raise ConfigError(
-                f"{self.path} has checkpoints but no config.json, so it cannot be continued. "
-                "Choose another --run-dir."
+                f"{self.path} has {', '.join(there)} but no config.json, so it is no run that can "
+                "be continued. Choose another --run-dir."
             )
         write_atomically(stored, to_json(config))
         now = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
-        with open(self.path / "command.txt", "a", encoding="utf-8") as file:
+        commands = self.path / "command.txt"
+        with open(commands, "a", encoding="utf-8", errors="surrogateescape") as file:
             file.write(f"{now}  {shlex.join(command)}\n")
         record_environment(self.path)
 
@@ -121,6 +143,11 @@ class RunDir:
             )
         for change in changes:
             _log.warning("Changed since the run began: %s.", change)
+
+
+def holder(path: Path) -> str:
+    """Who trains the run in a folder, "pid 7 on host since …"; empty if nobody does."""
+    return NamedLock(path / "lock").held_by()
 
 
 def _check_writable(path: Path, min_free: int) -> None:

@@ -16,6 +16,7 @@ A run's folder is named by its settings, not by the file, so files that share ru
 
 import dataclasses
 import itertools
+import math
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -24,18 +25,36 @@ from typing import Any, get_args
 
 import yaml
 
+from jaxcam.config.fields import as_record, short
 from jaxcam.config.names import ProtocolName
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, closest
-from jaxcam.files.jsonl import read_jsonl
 from jaxcam.files.paths import home
 from jaxcam.results.protocol import missing, protocol_of
 from jaxcam.results.stats import Estimate, latest_rows, success_rate
-from jaxcam.runs.identity import full_name, resolve
+from jaxcam.runs.identity import differences, full_name, resolve, stored_config
+from jaxcam.runs.metrics import read_metrics
 from jaxcam.runs.rollouts import read_rows, rows_file
+from jaxcam.sim import engine_name, make_task
 
 PYTHON = (sys.executable, "-m")
 """How a command of jaxcam is started."""
+
+MOST_RUNS = 100_000
+"""Combinations of values that an entry of a file may have."""
+
+
+@dataclass(frozen=True)
+class _File:
+    """What is in a file, as far as its form goes."""
+
+    runs_dir: str
+    runs: list[Any]
+    title: str | None = None
+    protocol: Any = None
+    settings: dict[str, Any] | None = None
+    slurm: dict[str, Any] | None = None
+
 
 _ENTRIES = ("title", "runs_dir", "protocol", "settings", "runs", "slurm")
 _FIELDS = {f.name: f for f in dataclasses.fields(TrainConfig)}
@@ -141,32 +160,39 @@ def read_grid(path: str | Path) -> Grid:
     path = home(path)
     try:
         content = yaml.safe_load(path.read_text("utf-8"))
-    except (OSError, yaml.YAMLError) as error:
+    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
         raise ConfigError(f"{path} cannot be read: {error}.") from error
     where = str(path)
     content = _mapping(where, content, _ENTRIES)
     for name in ("runs_dir", "runs"):
         if not content.get(name):
             raise ConfigError(f"{where}: there is no '{name}'.")
-    protocol = content.get("protocol", "one")
+    file = as_record(_File, content, where)
+    protocol = file.protocol or "one"
     if protocol not in (known := get_args(ProtocolName)):
         raise ConfigError(f"{where}: unknown protocol '{protocol}'{closest(str(protocol), known)}")
-    shared = _mapping(f"{where}, settings", content.get("settings") or {}, _FIELDS)
+    shared = _mapping(f"{where}, settings", file.settings or {}, _FIELDS)
     runs: dict[Path, Planned] = {}
-    for i, block in enumerate(content["runs"], start=1):
+    for i, block in enumerate(file.runs, start=1):
         place = f"{where}, run {i}"
         values = {**shared, **_mapping(place, block, _FIELDS)}
         for given in _combinations(place, values):
-            planned = _plan(place, home(content["runs_dir"]), given, protocol)
-            runs.setdefault(planned.folder, planned)
-    slurm = content.get("slurm") or {}
-    return Grid(content.get("title", path.stem), home(content["runs_dir"]), [*runs.values()], slurm)
+            planned = _plan(place, home(file.runs_dir), given, protocol)
+            known = runs.setdefault(planned.folder, planned)
+            if changed := differences(known.config, planned.config):
+                raise ConfigError(
+                    f"{place}: two runs would share the folder {planned.name}, since they differ "
+                    f"only in {', '.join(d.field for d in changed)}, which makes no other run. "
+                    "Leave one of them out."
+                )
+    planned = [*runs.values()]
+    return Grid(file.title or path.stem, home(file.runs_dir), planned, file.slurm or {})
 
 
 def progress_of(run: Planned) -> Standing:
     """How far a run is, from its folder."""
-    metrics = read_jsonl(run.folder / "metrics.jsonl")
-    step = int(max((row.get("step", 0) for row in metrics), default=0))
+    metrics = read_metrics(run.folder)
+    step = int(max((row["step"] for row in metrics), default=0))
     rows = [
         row
         for row in read_rows(rows_file(run.folder))
@@ -187,9 +213,11 @@ def _plan(where: str, runs_dir: Path, given: dict[str, Any], protocol: ProtocolN
         raise ConfigError(f"{where}: there is no 'seed'.")
     try:
         config = resolve(TrainConfig(**given), accelerator=False)
+        if config.engine != "auto":
+            engine_name(config.engine, make_task(config.task))
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from error
-    name = full_name(config)
+    name = _folder(runs_dir, config)
     planned = Planned(runs_dir / name, given, config, protocol)
     asked = protocol_of(config.policy).checkpoints
     kept = min(len(planned.steps), config.keep)
@@ -202,10 +230,24 @@ def _plan(where: str, runs_dir: Path, given: dict[str, Any], protocol: ProtocolN
     return planned
 
 
+def _folder(runs_dir: Path, config: TrainConfig) -> str:
+    """Name of the run's folder: the one of version 0.1.0 where this run has that already."""
+    name, old = full_name(config), full_name(config, files=False)
+    if name == old or not (runs_dir / old / "config.json").is_file():
+        return name
+    try:
+        there = stored_config(runs_dir / old)
+    except ConfigError:
+        return name
+    files = ("data_dir", "dataset", "weights")
+    same = all(getattr(there, k) == getattr(config, k) for k in files)
+    return old if same else name
+
+
 def _mapping(where: str, content: Any, known: Any) -> dict[str, Any]:
     """The content, if it is a mapping whose names are known."""
     if not isinstance(content, dict):
-        raise ConfigError(f"{where}: expected names with values, got {content!r}.")
+        raise ConfigError(f"{where}: expected names with values, got {short(content)}.")
     for name in content:
         if name not in known or name in _OURS:
             names = [k for k in known if k not in _OURS]
@@ -219,10 +261,18 @@ def _combinations(where: str, values: Mapping[str, Any]) -> Iterator[dict[str, A
     for name, value in values.items():
         several = isinstance(value, list)
         if name == "model":
-            several = several and any(isinstance(v, list) for v in value)
+            lists = isinstance(value, list) and {isinstance(v, list) for v in value}
+            if lists not in (set(), {True}, {False}):
+                raise ConfigError(
+                    f"{where}: 'model' must be a list of name=value, or a list of such lists, got "
+                    f"{short(value)}."
+                )
+            several = lists == {True}
             value = [tuple(v) for v in value] if several else tuple(value)
         if several and not value:
             raise ConfigError(f"{where}: '{name}' is an empty list.")
         choices.append(value if several else [value])
+    if (count := math.prod(map(len, choices))) > MOST_RUNS:
+        raise ConfigError(f"{where}: {count:,} combinations, more than {MOST_RUNS:,}.")
     for combination in itertools.product(*choices):
         yield dict(zip(values, combination, strict=True))

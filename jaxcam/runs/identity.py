@@ -6,8 +6,12 @@ seeds and the way their updates were computed differ (`identity`).
 """
 
 import functools
+import hashlib
+import json
 import math
+import os
 import re
+from collections.abc import Mapping
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,6 +21,7 @@ from jaxcam.config.presets import PRESETS, Preset
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
 from jaxcam.results.rows import USUAL_WAY
+from jaxcam.runs.manifests import sides
 from jaxcam.sim import make_task
 
 Settings = dict[str, Any]
@@ -31,6 +36,8 @@ FREE_TO_CHANGE = frozenset({
 # policy was run; seeds and how updates are computed differ between runs compared as one.
 _OWN = {"seed", "steps_per_call", "accumulate"}
 _NO_IDENTITY = (FREE_TO_CHANGE | _OWN) - {"dataset", "engine", "ensemble"}
+MOST_LETTERS = 180
+"""Of a run's name; file systems take 255 bytes, and its log and its job have endings."""
 _NAMED = ("task", "scene", "policy", "preset", "conditioning")
 _INTERVALS = ("steps", "log_every", "eval_every", "save_every")
 
@@ -82,11 +89,42 @@ def read_config(folder: Path) -> TrainConfig:
         folder: Of the run.
 
     Raises:
-        ConfigError: Its config.json is damaged.
+        ConfigError: Its config.json is damaged, or is not that of its checkpoints.
     """
-    config = from_json(TrainConfig, (folder / "config.json").read_text("utf-8"))
+    config = stored_config(folder)
+    for step, side in sides(folder).items():
+        if misfits := unlike(config, side):
+            raise ConfigError(
+                f"{folder}: config.json is not what checkpoint {step} was trained with "
+                f"({'; '.join(misfits)}). One of them is of another run, or was edited: restore "
+                "it; the checkpoint's manifest holds its own settings."
+            )
+    return config
+
+
+def stored_config(folder: Path) -> TrainConfig:
+    """The settings in a run's config.json alone, whatever its checkpoints say.
+
+    Raises:
+        ConfigError: It is damaged, or cannot be read.
+    """
+    try:
+        text = (folder / "config.json").read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{folder / 'config.json'} cannot be read: {error}.") from error
     # Settings that are newer than the run: it was made with their preset's values.
-    return resolve(config, accelerator=False)
+    return resolve(from_json(TrainConfig, text), accelerator=False)
+
+
+def unlike(config: TrainConfig, side: Mapping[str, Any]) -> list[str]:
+    """In what a run's settings are not those that one of its checkpoints was trained with.
+
+    Args:
+        config: The run's.
+        side: What the checkpoint holds beside its arrays.
+    """
+    own = resolve(from_json(TrainConfig, json.dumps(side["config"])), accelerator=False)
+    return [str(d) for d in differences(own, config) if d.changes_program]
 
 
 def default_folder(config: TrainConfig) -> str:
@@ -109,16 +147,33 @@ def default_folder(config: TrainConfig) -> str:
     return "runs/" + "-".join([*parts, str(config.seed)])
 
 
-def full_name(config: TrainConfig) -> str:
+def full_name(config: TrainConfig, *, files: bool = True) -> str:
     """A name that tells a run from all others: the preset it starts from and each change to it.
 
     Args:
         config: Resolved settings.
+        files: Whether it tells the folders of data and weights apart, too; version 0.1.0 did not.
     """
     settings = identity(config) | {"engine": USUAL_WAY["engine"]}  # it trains nothing else
     parts = [settings[name] for name in _NAMED]
     parts += [f"{k}{plain(v)}" for k, v in changes(settings).items()]
-    return re.sub(r"[^A-Za-z0-9.=+-]+", "_", "-".join([*parts, str(config.seed)]))
+    parts += [_digest(*paths)] if files and (paths := _paths(config)) else []
+    name = re.sub(r"[^A-Za-z0-9.=+-]+", "_", "-".join([*parts, str(config.seed)]))
+    if len(name) <= MOST_LETTERS:
+        return name
+    return f"{name[:MOST_LETTERS]}-{_digest(name)}-{config.seed}"
+
+
+def _paths(config: TrainConfig) -> list[str]:
+    """The files that a run reads where they are not the usual: words tell only their names."""
+    names = ("data_dir", "dataset", "weights")
+    paths = {k: os.path.normpath(getattr(config, k)) for k in names if getattr(config, k)}
+    return [f"{k}={v}" for k, v in paths.items() if v != getattr(TrainConfig, k)]
+
+
+def _digest(*words: str) -> str:
+    text = "\n".join(words).encode(errors="surrogateescape")
+    return hashlib.sha256(text).hexdigest()[:8]
 
 
 def identity(config: TrainConfig) -> Settings:
@@ -162,7 +217,9 @@ def plain(value: Any) -> str:
     """A setting's value as people write it."""
     if isinstance(value, list | tuple):
         return " ".join(map(str, value)) or "–"
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return short if float(short := f"{value:g}") == value else repr(value)
+    return str(value)
 
 
 class Difference(NamedTuple):

@@ -6,7 +6,6 @@ are.
 
 import contextlib
 import shlex
-import signal
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -19,6 +18,10 @@ from rich.table import Table
 from rich.text import Text
 
 from jaxcam.config.commands import SweepConfig
+from jaxcam.errors import JaxcamError
+from jaxcam.interrupts import Stopped, check_stop, interrupts
+from jaxcam.results.stats import success_rate
+from jaxcam.runs.folder import holder
 from jaxcam.runs.grid import Grid, Planned, Standing, progress_of, read_grid
 from jaxcam.runs.jobs import PREEMPTED, Executor, Here, Job, Started, Submitit
 
@@ -60,29 +63,49 @@ def sweep(
         All runs, each with the state "done" or "failed".
 
     Raises:
-        KeyboardInterrupt: After a signal; what runs here was asked to save, and has.
+        Stopped: After a signal; what runs here was asked to save, and has.
     """
     entries = [_entry(run) for run in grid.runs]
-    with _terminated(), _shown(console, grid, entries) as show:
+    with (
+        interrupts("Stopping; what runs here saves first."),
+        _shown(console, grid, entries) as show,
+    ):
         try:
             while any(e.state in ("waiting", "running") for e in entries):
                 for entry in entries:
                     _look_after(entry, retries)
                 free = jobs - sum(e.state == "running" for e in entries)
-                for entry in [e for e in entries if e.state == "waiting"][: max(free, 0)]:
+                waiting = [e for e in entries if e.state == "waiting" and _is_free(e)]
+                for entry in waiting[: max(free, 0)]:
                     entry.job = executor.start(entry.run.name, Job(entry.run.commands(), entry.log))
                     entry.state, entry.starts = "running", entry.starts + 1
                 show()
                 time.sleep(SECONDS)
-        except KeyboardInterrupt:
+                check_stop()
+        except Stopped:
             executor.stop()
             raise
     return entries
 
 
 def _entry(run: Planned) -> Entry:
-    progress = progress_of(run)
+    """A run as its folder has it; one that cannot be read has failed, and the others go on."""
+    try:
+        progress = progress_of(run)
+    except (JaxcamError, OSError) as error:
+        asked = len(run.steps) * run.pairs
+        return Entry(run, Standing(0, 0, asked, success_rate([])), "failed", reason=str(error))
     return Entry(run, progress, "done" if progress.done else "waiting")
+
+
+def _is_free(entry: Entry) -> bool:
+    """Whether nobody trains a run, such as a child of a sweep that was killed; notes who does."""
+    if not (who := holder(entry.run.folder)):
+        return True
+    entry.reason = f"is in use by {who}"
+    with contextlib.suppress(JaxcamError, OSError):
+        entry.progress = progress_of(entry.run)
+    return False
 
 
 def _look_after(entry: Entry, retries: int) -> None:
@@ -90,8 +113,12 @@ def _look_after(entry: Entry, retries: int) -> None:
     if entry.state != "running" or entry.job is None:
         return
     ended = entry.job.done()
-    entry.progress = progress_of(entry.run)
+    now = _entry(entry.run)
+    entry.progress, entry.reason = now.progress, now.reason or entry.reason
     if not ended:
+        return
+    if now.state == "failed":
+        entry.state = "failed"
         return
     code, lost = _outcome(entry.job)
     if entry.progress.done:  # a report that failed after the last row is no reason to run again
@@ -115,20 +142,6 @@ def _last_words(log: Path) -> str:
     lines = log.read_text(errors="replace").splitlines() if log.is_file() else []
     words = [line.strip(" │╭╮╰╯─") for line in lines[-12:]]
     return next((line for line in reversed(words) if line), "it said nothing")[:200]
-
-
-@contextlib.contextmanager
-def _terminated() -> Iterator[None]:
-    """SIGTERM as Ctrl-C, so that both stop what runs."""
-
-    def handle(number: int, frame: object) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, handle)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 @contextlib.contextmanager
@@ -207,10 +220,10 @@ def main(config: SweepConfig, console: Console) -> int:
     )
     try:
         entries = sweep(grid, executor, console, jobs=config.jobs, retries=config.retries)
-    except KeyboardInterrupt:
+    except Stopped as stopped:
         what = "Jobs that were queued go on" if executor.keeps_running else "What is done is kept"
         console.print(f"{what}; run the same command again to continue.")
-        return 130
+        return stopped.exit_code
     failed = [e for e in entries if e.state == "failed"]
     for e in failed:
         console.print(f"{e.run.name} failed, {e.reason} ({e.log})", style="red", soft_wrap=True,

@@ -42,17 +42,17 @@ def make_task(name: str) -> Task:
     return next(x for x in module.values() if isinstance(x, type) and vars(x).get("name") == name)()
 
 
-def simulator_of(world: World) -> Simulator:
-    """What steps and draws a world."""
+def simulator_of(world: World | Task) -> Simulator:
+    """What steps and draws a world, or the worlds of a task."""
     return SIMULATORS[world.simulator]
 
 
-def engine_name(name: str, world: World) -> EngineName:
+def engine_name(name: str, world: World | Task) -> EngineName:
     """The engine meant by a setting.
 
     Args:
         name: `auto`, or an engine's. `auto` is the world's fastest on this machine.
-        world: The world.
+        world: The world, or a task for all of its worlds, which need not be loaded then.
 
     Raises:
         ConfigError: If there is no such engine, or it cannot step this world.

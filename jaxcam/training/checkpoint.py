@@ -21,13 +21,14 @@ import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
 
-from jaxcam.config.fields import from_json
+from jaxcam.config.fields import as_record, from_json
 from jaxcam.config.train import TrainConfig
-from jaxcam.errors import CheckpointError
+from jaxcam.errors import CheckpointError, ConfigError
 from jaxcam.files.paths import absolute
 from jaxcam.models import FAMILIES, Policy, PolicySpec
+from jaxcam.runs.identity import read_config
+from jaxcam.runs.manifests import DamagedError, seal, steps_in
 from jaxcam.training.digests import (
-    DamagedError,
     alone,
     brief,
     describe,
@@ -38,8 +39,6 @@ from jaxcam.training.digests import (
     newest_whole,
     read_all,
     read_params,
-    seal,
-    steps_in,
     to_plain,
     write_digests,
 )
@@ -221,11 +220,15 @@ def load_policy_inputs(run_dir: str | Path, step: int | None = None) -> PolicyIn
 
     Raises:
         CheckpointError: There is no such checkpoint, it is damaged, or it is of another version.
+        ConfigError: The folder has a config.json that is not that of its checkpoints.
     """
-    directory = absolute(run_dir) / "checkpoints"
+    folder = absolute(run_dir)
+    directory = folder / "checkpoints"
     known = steps_in(directory)
     if not known:
         raise CheckpointError(f"No checkpoint in {directory}. Train first, or check the path.")
+    if (folder / "config.json").exists():
+        read_config(folder)
     if step is None:
         manifest, leaves, _ = newest_whole(directory, read_params)
     elif step in known:
@@ -251,9 +254,18 @@ def load_policy_inputs(run_dir: str | Path, step: int | None = None) -> PolicyIn
 
 
 def rebuild_policy(inputs: PolicyInputs) -> Policy:
-    """The policy of a checkpoint, as it was trained."""
+    """The policy of a checkpoint, as it was trained.
+
+    Raises:
+        CheckpointError: Its settings or sizes are not those of such a policy.
+    """
     family = FAMILIES[inputs.config.policy]
-    return family.make(family.config(**inputs.settings), PolicySpec(**inputs.spec), inputs.stats)
+    try:
+        settings = as_record(family.config, inputs.settings, "policy's settings")
+        spec = as_record(PolicySpec, inputs.spec, "policy's sizes")
+    except ConfigError as error:
+        raise CheckpointError(f"Checkpoint {inputs.step} is of another version: {error}") from error
+    return family.make(settings, spec, inputs.stats)
 
 
 def checkpoint_steps(run_dir: str | Path) -> list[int]:

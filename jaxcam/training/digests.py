@@ -17,9 +17,19 @@ import jax
 import numpy as np
 import orbax.checkpoint as ocp
 
-from jaxcam.errors import CheckpointError
-from jaxcam.files.jsonl import write_atomically
+from jaxcam.config.fields import as_record
+from jaxcam.errors import CheckpointError, ConfigError
 from jaxcam.files.paths import absolute
+from jaxcam.files.whole import write_atomically
+from jaxcam.runs.manifests import (
+    DamagedError,
+    Files,
+    read_manifest,
+    read_object,
+    seal,
+    steps_in,
+    without_seal,
+)
 
 FILES = "files.json"
 """File of a checkpoint with the digests of all its others."""
@@ -29,10 +39,6 @@ Read = Callable[[Path], tuple[dict[str, Any], dict[str, Any]]]
 """Reads a checkpoint's folder: its manifest, and arrays by name."""
 
 _log = logging.getLogger(__name__)
-
-
-class DamagedError(Exception):
-    """Why a checkpoint cannot be used."""
 
 
 def flatten(state: Any) -> dict[str, np.ndarray]:
@@ -56,12 +62,6 @@ def describe(leaf: np.ndarray) -> list[Any]:
     """Dtype, shape and digest of an array."""
     digest = hashlib.sha256(np.ascontiguousarray(leaf).reshape(-1).view(np.uint8).data)
     return [str(leaf.dtype), list(leaf.shape), digest.hexdigest()]
-
-
-def seal(content: dict[str, Any]) -> dict[str, Any]:
-    """The content with a digest of itself."""
-    text = json.dumps(content, sort_keys=True)
-    return {**content, "sha256": hashlib.sha256(text.encode()).hexdigest()}
 
 
 def alone() -> ocp.options.MultiprocessingOptions:
@@ -92,9 +92,9 @@ def _check_files(folder: Path, item: str) -> None:
     if not (folder / FILES).exists():
         return
     try:
-        stored = json.loads((folder / FILES).read_text())
-        files = stored["files"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        stored = read_object(folder / FILES)
+        files = as_record(Files, without_seal(stored), FILES).files
+    except ConfigError as error:
         raise DamagedError(f"{FILES} cannot be read ({brief(error)})") from error
     if stored != seal({"files": files}):
         raise DamagedError(f"{FILES} has changed since it was written")
@@ -110,15 +110,11 @@ def _check_files(folder: Path, item: str) -> None:
 
 def _read_manifest(folder: Path) -> dict[str, Any]:
     _check_files(folder, "manifest")
+    manifest = read_manifest(folder)
     try:
-        manifest = json.loads((folder / "manifest" / "metadata").read_text())
-        content = {k: manifest[k] for k in ("step", "side", "leaves")}
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise DamagedError(f"its manifest cannot be read ({brief(error)})") from error
-    if manifest != seal(content):
-        raise DamagedError("its manifest has changed since it was written")
-    if str(manifest["step"]) != folder.name:
-        raise DamagedError(f"its manifest is of step {manifest['step']}")
+        from_plain(manifest["side"])
+    except (ValueError, TypeError) as error:
+        raise DamagedError(f"its manifest has arrays that are none ({brief(error)})") from error
     return manifest
 
 
@@ -136,7 +132,10 @@ def _read_item(folder: Path, item: str, described: Mapping[str, list[Any]]) -> d
         raise DamagedError(f"{item} cannot be read ({brief(error)})") from error
     leaves = {}
     for name, (dtype, shape, digest) in described.items():
-        leaf = arrays.get(name) if name in stored else np.zeros(shape, dtype)
+        try:
+            leaf = arrays.get(name) if name in stored else np.zeros(shape, dtype)
+        except (ValueError, TypeError) as error:
+            raise DamagedError(f"{name} is described as {dtype!r}, {shape}") from error
         if leaf is None or describe(leaf) != [dtype, shape, digest]:
             raise DamagedError(f"{name} has changed since it was written")
         leaves[name] = leaf
@@ -164,13 +163,6 @@ def read_params(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     manifest = _read_manifest(folder)
     has_ema = any(item_of(n) == "ema" for n in manifest["leaves"])
     return manifest, _read_items(folder, manifest, {"ema" if has_ema else "params"})
-
-
-def steps_in(directory: Path) -> list[int]:
-    """Steps that have a checkpoint in a folder of them, oldest first."""
-    if not directory.is_dir():
-        return []
-    return sorted(int(p.name) for p in directory.iterdir() if p.name.isdigit())
 
 
 def newest_whole(directory: Path, read: Read) -> tuple[dict[str, Any], dict[str, Any], list[int]]:

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
-from jaxcam.files.jsonl import write_atomically
+from jaxcam.files.whole import write_atomically
 
 PACKAGES = {"tensorboard": "tensorboardX", "wandb": "wandb"}
 """What each needs."""

@@ -11,10 +11,10 @@ from jaxcam.console.progress import progress
 from jaxcam.data.batches import Dataset
 from jaxcam.devices import from_first, gathered, memory_lacks
 from jaxcam.errors import DivergedError
+from jaxcam.interrupts import Interrupt
 from jaxcam.models import Batch, Policy
 from jaxcam.models.weights.load import Weights, load_after
 from jaxcam.runs.folder import RunDir
-from jaxcam.runs.interrupts import Interrupt
 from jaxcam.training.records import Records
 from jaxcam.training.side import make_side
 from jaxcam.training.side_by_side import SeedRun, SideBySide, batches

@@ -7,6 +7,7 @@ from typing import Any, Self
 import numpy as np
 
 from jaxcam.config.train import TrainConfig
+from jaxcam.files.whole import whole
 from jaxcam.runs.folder import RunDir
 from jaxcam.training.checkpoint import Checkpoints
 from jaxcam.training.loggers import Loggers
@@ -57,6 +58,7 @@ class Records:
         """Write down a row of metrics. A disk that is full loses rows, not the training."""
         if self._run is None:
             return
+        self._run.check_there()
         try:
             self._run.log(row)
         except OSError as error:
@@ -67,9 +69,11 @@ class Records:
     def keep_batch(self, batch: Mapping[str, Any]) -> None:
         """Write down the batch at which the run diverged, `diverged.npz`."""
         if self._run:
-            np.savez(self._run.path / "diverged.npz", **batch)
+            with whole(self._run.path / "diverged.npz") as part:
+                np.savez(part, **batch)
 
     def save(self, state: TrainState) -> None:
         """Write a checkpoint."""
-        if self._checkpoints:
+        if self._run and self._checkpoints:
+            self._run.check_there()
             self._checkpoints.save(state, self._side)

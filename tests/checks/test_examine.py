@@ -109,3 +109,14 @@ def test_help_is_fast():
         if took[-1] < 3:
             return
     pytest.fail(f"--help took {took} s")
+
+
+def test_the_page_replaces_nothing_that_is_not_its_own(demos, tmp_path, capsys):
+    path, mine = tmp_path / "mine.hdf5", tmp_path / "mine.html"
+    shutil.copy(demos.path, path)
+    mine.write_text("notes")
+    (tmp_path / "page.png").write_bytes(b"a picture")
+    before = {p: p.read_bytes() for p in tmp_path.iterdir()}
+    for out in (path, mine, tmp_path, "/dev/null", tmp_path / "page.html"):
+        assert exit_code("check", path, "--episodes", 0, "--out", out) == 2
+    assert {p: p.read_bytes() for p in tmp_path.iterdir()} == before

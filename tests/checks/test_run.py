@@ -64,6 +64,10 @@ RUNS = {
     "a torn line within": (
         lambda r: (r / "metrics.jsonl").write_text('{"step"\n{}\n'), "metrics", "bad", "damaged"
     ),
+    "the settings of another run": (
+        lambda r: (r / "config.json").write_text(to_json(replace(CONFIG, lr=0.5))),
+        "configuration", "bad", "lr: 0.001 -> 0.5",
+    ),
     "other packages": (
         lambda r: (r / "env.txt").write_text("jax 0.0.1\n"), "environment", "note", "jax 0.0.1 →"
     ),

@@ -3,6 +3,7 @@
 import os
 from dataclasses import replace
 
+import av
 import jax
 import numpy as np
 import pytest
@@ -64,11 +65,11 @@ def test_memory_that_does_not_suffice_is_told_with_a_smaller_width(tmp_path, mon
 def test_a_disk_without_room_for_videos_keeps_the_rows(tmp_path, monkeypatch, caplog):
     monkeypatch.setattr(FlakyEvaluator, "clips", lambda *args: [np.zeros((2, 8, 8, 3), np.uint8)],
                         raising=False)  # fmt: skip
-    (tmp_path / "videos").mkdir()
     if not os.path.exists("/dev/full"):
         pytest.skip("no /dev/full")
-    for name in ("test-000007", "failures-test-000007"):  # every write there finds the disk full
-        (tmp_path / "videos" / f"{name}.mp4.part").symlink_to("/dev/full")
+    opened = av.open
+    # Every write finds the disk full.
+    monkeypatch.setattr(av, "open", lambda path, *args, **kw: opened("/dev/full", *args, **kw))
     estimate = evaluate(FlakyEvaluator(), candidate(tmp_path), Wanted(pairs=2, videos=1))
     assert estimate.n == 2
     assert "could not be written: [Errno 28] No space left on device" in caplog.text

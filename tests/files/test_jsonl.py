@@ -1,4 +1,4 @@
-"""Rows that survive crashes, and files that are written whole or not at all."""
+"""Rows that survive crashes."""
 
 import json
 import os
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jaxcam.errors import DatasetError
-from jaxcam.files.jsonl import append_jsonl, read_jsonl, write_atomically
+from jaxcam.files.jsonl import append_jsonl, read_jsonl
 
 
 def test_jsonl_round_trip(tmp_path):
@@ -62,17 +62,12 @@ def test_writers_killed_while_appending_leave_whole_rows(tmp_path):
     assert [row["i"] for row in rows] == list(range(len(rows)))
 
 
-def test_write_atomically_keeps_the_old_content_on_failure(tmp_path, monkeypatch):
-    path = tmp_path / "config.json"
-    write_atomically(path, "old")
-
-    def fail(descriptor):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "fsync", fail)
-    with pytest.raises(OSError, match="No space"):
-        write_atomically(path, "new")
-    assert path.read_text() == "old"
+@pytest.mark.parametrize("line", ["[1]", "3", "null", '"text"', "[" * 100_000])
+def test_lines_that_are_no_objects_are_an_error(tmp_path, line):
+    path = tmp_path / "rows.jsonl"
+    path.write_text(line + "\n")
+    with pytest.raises(DatasetError, match=r"rows\.jsonl, line 1, is (no object|damaged)"):
+        read_jsonl(path)
 
 
 def test_a_full_disk_is_an_error():

@@ -18,11 +18,11 @@ from jaxcam.data.batches import Dataset
 from jaxcam.data.pairs import Pairs
 from jaxcam.data.pictures import Pictures
 from jaxcam.data.samples import Layout
+from jaxcam.interrupts import Interrupt
 from jaxcam.models import Policy, PolicySpec
 from jaxcam.results.rows import Row
 from jaxcam.runs.folder import RunDir
 from jaxcam.runs.identity import resolve
-from jaxcam.runs.interrupts import Interrupt
 from jaxcam.sim.rollout import Rollouts
 from jaxcam.sim.task import Start
 from jaxcam.training.loop import Trainer

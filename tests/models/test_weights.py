@@ -1,11 +1,15 @@
 """Files of weights: reading, recognising, loading, refusing."""
 
+import contextlib
 import json
 import pickle
+import tracemalloc
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
 import jax
+import ml_dtypes
 import numpy as np
 import pytest
 from places import GOLDEN
@@ -17,8 +21,8 @@ from jaxcam.models import ACT_PRESETS, PolicySpec, make_policy
 from jaxcam.models.conditioning import with_conditioning
 from jaxcam.models.smolvla.config import SMOLVLA_PRESETS
 from jaxcam.models.weights.load import Weights, load, read_weights, record_weights, show
-from jaxcam.models.weights.names import MAPS, recognise
-from jaxcam.models.weights.torch_files import read_torch
+from jaxcam.models.weights.names import MAPS, recognise, unwrap
+from jaxcam.models.weights.torch_files import MOST_STEPS, read_torch
 from jaxcam.pipeline import starting_weights, train
 from jaxcam.runs.identity import resolve
 
@@ -85,6 +89,18 @@ def test_torch_files_are_read_without_torch(name):
     assert len(arrays) == 9
 
 
+@pytest.mark.parametrize("name", ["weights_types.pth", "weights_types_legacy.pth"])
+def test_types_that_torch_stores_as_bytes(name):
+    arrays = read_torch(FILES / name)
+    np.testing.assert_array_equal(arrays["uint16"], np.array([2, 60000], np.uint16))
+    np.testing.assert_array_equal(arrays["uint64"], np.array([1, 2**40], np.uint64))
+    np.testing.assert_array_equal(arrays["complex"], np.array([0.5j, -2j, 3j], np.complex64))
+    assert arrays["e4m3"].dtype == ml_dtypes.float8_e4m3fn
+    np.testing.assert_array_equal(arrays["e4m3"].astype(np.float32), [-2, 3])
+    assert arrays["e5m2"].dtype == ml_dtypes.float8_e5m2
+    np.testing.assert_array_equal(arrays["e5m2"].astype(np.float32), [0.5, -2, 3])
+
+
 class Evil:
     """Runs a command when it is unpickled."""
 
@@ -99,6 +115,126 @@ def test_a_pickle_that_runs_something_is_refused(tmp_path, capsys):
     with pytest.raises(CheckpointError, match=r"print.*torch\.save"):
         read_weights(file)
     assert "PWNED" not in capsys.readouterr().out
+
+
+def test_a_tensor_of_an_unknown_kind_is_not_called_a_program(tmp_path):
+    content = b"\x80\x02" + opcodes("a") + b"ctorch._utils\n_rebuild_sparse_tensor\n)R."
+    save_archive(tmp_path / "sparse.pth", content)
+    with pytest.raises(CheckpointError, match=r"kind that is not read here.*sparse") as error:
+        read_weights(tmp_path / "sparse.pth")
+    assert "program" not in str(error.value)
+
+
+def opcodes(value):
+    """What pushes a value in a pickle."""
+    return pickle.dumps(value, 2)[2:-1]
+
+
+def tensor(shape, strides, count=4):
+    """What pushes a tensor of float32 whose storage is called 0."""
+    storage = opcodes("storage") + b"ctorch\nFloatStorage\n" + opcodes("0") + opcodes("cpu")
+    about = opcodes(0) + opcodes(shape) + opcodes(strides)
+    storage = b"(" + storage + opcodes(count) + b"tQ"
+    hooks = b"\x89ccollections\nOrderedDict\n)R"
+    return b"ctorch._utils\n_rebuild_tensor_v2\n(" + storage + about + hooks + b"tR"
+
+
+def save_archive(path, content, storage=bytes(16), compression=zipfile.ZIP_STORED):
+    with zipfile.ZipFile(path, "w", compression) as archive:
+        archive.writestr("archive/data.pkl", content)
+        archive.writestr("archive/data/0", storage)
+
+
+def nested(depth):
+    """Lists of ten times the same list, so deep."""
+    value = []
+    for _ in range(depth):
+        value = [value] * 10
+    return value
+
+
+def cyclic():
+    value = []
+    value.append(value)
+    return value
+
+
+def copied_lists():
+    """Many copies of one long list, each of which takes a few bytes of the pickle."""
+    long = b"(" + b"K\x01" * 50_000 + b"lq\x07"
+    return b"(" + long + b"ctorch\nSize\nh\x07\x85R" * 20_000 + b"l"
+
+
+HOSTILE = {
+    "a stride of 0": tensor((1_500_000_000,), (0,)),
+    "many windows of one storage": b"(" + tensor((4096, 4096), (0, 1), 4096) * 40 + b"l",
+    "lists inside of lists": opcodes(nested(30)),
+    "a list inside of itself": opcodes(cyclic()),
+    "a place far away in the memo": b"]r\xff\xff\xff\x7f",
+    "copies of a list": copied_lists(),
+    "a long name, many times": opcodes({"x" * 10_000: [[]] * 100_000}),
+    "a giant text": b"\x8e" + (2**40).to_bytes(8, "little"),
+}
+
+
+@pytest.mark.parametrize("case", HOSTILE)
+@pytest.mark.parametrize("layout", ["zip", "legacy"])
+def test_memory_stays_near_the_size_of_the_file(tmp_path, case, layout):
+    file, content = tmp_path / "hostile.pth", b"\x80\x02" + HOSTILE[case] + b"."
+    if layout == "zip":
+        save_archive(file, content, bytes(4 * 4096))
+    else:
+        head = [pickle.dumps(x, 2) for x in (0x1950A86A20F9469CFC6C, 1001, {"little_endian": True})]
+        storage = pickle.dumps(["0"], 2) + (4096).to_bytes(8, "little") + bytes(4 * 4096)
+        file.write_bytes(b"".join(head) + content + storage)
+    with bounded(400e6), pytest.raises(CheckpointError, match=r"more memory|not a whole"):
+        read_weights(file)
+
+
+def test_a_pickle_without_an_end_is_refused_before_it_is_obeyed(tmp_path):
+    content = b"\x80\x02(" + b"}" * (MOST_STEPS + 1) + b"l."
+    save_archive(tmp_path / "long.pth", content)
+    with pytest.raises(CheckpointError, match="more memory"):
+        read_weights(tmp_path / "long.pth")
+
+
+@contextlib.contextmanager
+def bounded(most):
+    """Fails where more than so many bytes were taken at once."""
+    tracemalloc.start()
+    try:
+        yield
+        assert tracemalloc.get_traced_memory()[1] < most
+    finally:
+        tracemalloc.stop()
+
+
+def test_compressed_storages_of_a_giant_are_refused(tmp_path):
+    file = tmp_path / "deflated.pth"
+    content = b"\x80\x02}" + opcodes("a") + tensor((4, 2), (2, 1), 8) + b"s."
+    save_archive(file, content, bytes(100_000_000), zipfile.ZIP_DEFLATED)
+    with bounded(50e6), pytest.raises(CheckpointError, match="more memory"):
+        read_weights(file)
+    save_archive(file, content, np.arange(8, dtype=np.float32).tobytes(), zipfile.ZIP_DEFLATED)
+    np.testing.assert_array_equal(read_weights(file).arrays["a"], np.arange(8).reshape(4, 2))
+
+
+def test_a_small_array_that_repeats_its_numbers_is_read(tmp_path):
+    content = b"\x80\x02}" + opcodes("a") + tensor((3, 4), (0, 1)) + b"s."
+    save_archive(tmp_path / "expanded.pth", content, np.arange(4, dtype=np.float32).tobytes())
+    expected = np.tile(np.arange(4), (3, 1))
+    np.testing.assert_array_equal(read_weights(tmp_path / "expanded.pth").arrays["a"], expected)
+
+
+@pytest.mark.parametrize("name", ["a.pth", "a.safetensors"])
+def test_empty_files_and_pointers_are_told(tmp_path, name):
+    file = tmp_path / name
+    file.write_bytes(b"")
+    with pytest.raises(CheckpointError, match="is empty"):
+        read_weights(file)
+    file.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n")
+    with pytest.raises(CheckpointError, match="git lfs pull"):
+        read_weights(file)
 
 
 @pytest.mark.parametrize("name", ["weights.pth", "weights_legacy.pth"])
@@ -132,6 +268,62 @@ def test_safetensors_are_read_and_hashed(tmp_path, capsys):
     assert "2x3" in told
     assert "ResNet-18 (torchvision), 1 arrays, 6 numbers" in told.replace("\n", " ")
     assert weights.sha256 in told.replace("\n", "")
+
+
+def test_safetensors_of_float8_are_read(tmp_path):
+    numbers = np.array([0.5, -2, 3], ml_dtypes.float8_e4m3fn)
+    kinds = {"F8_E4M3": numbers, "F32": np.ones(2, np.float32)}
+    content, entries = b"", {}
+    for kind, array in kinds.items():
+        ends = [len(content), len(content) + array.nbytes]
+        entries[f"{kind}.weight"] = {"dtype": kind, "shape": [len(array)], "data_offsets": ends}
+        content += array.tobytes()
+    header = json.dumps(entries).encode()
+    pytest.importorskip("safetensors")
+    file = tmp_path / "float8.safetensors"
+    file.write_bytes(len(header).to_bytes(8, "little") + header + content)
+    arrays = read_weights(file).arrays
+    assert arrays.keys() == {"F8_E4M3.weight", "F32.weight"}
+    np.testing.assert_array_equal(arrays["F8_E4M3.weight"].astype(np.float32), [0.5, -2, 3])
+    np.testing.assert_array_equal(arrays["F32.weight"], [1, 1])
+
+
+@pytest.mark.parametrize(
+    "prefix", ["module.", "state_dict.", "_orig_mod.", "state_dict.module.", "module._orig_mod."]
+)
+def test_what_wrappers_put_before_names_is_cut(prefix):
+    wrapped = {prefix + name: array for name, array in resnet().items()}
+    if "state_dict" in prefix:
+        wrapped["optimizer.state.0.exp_avg"] = np.zeros(3, np.float32)
+    arrays = unwrap(wrapped)
+    assert arrays.keys() == resnet().keys()
+    loaded = load(weights_of(arrays), act())
+    jax.tree.map(np.testing.assert_array_equal, loaded, load(weights_of(resnet()), act()))
+
+
+def test_a_compiled_part_of_a_network_keeps_its_place():
+    names = {k.replace("layer1.", "layer1._orig_mod."): v for k, v in resnet().items()}
+    assert unwrap(names).keys() == resnet().keys()
+
+
+def test_names_of_nobody_are_left_alone():
+    names = {"module.a.b": np.zeros(1), "c": np.zeros(1)}
+    assert unwrap(names) == names
+
+
+def test_weights_that_are_no_fractions_are_refused_by_name():
+    for dtype in (np.uint16, np.complex64):
+        arrays = resnet()
+        arrays["layer1.0.conv1.weight"] = arrays["layer1.0.conv1.weight"].astype(dtype)
+        with pytest.raises(CheckpointError, match=rf"layer1\.0\.conv1\.weight \({dtype.__name__}"):
+            load(weights_of(arrays), act())
+
+
+def test_half_a_batch_norm_is_told():
+    arrays = resnet()
+    del arrays["bn1.weight"]
+    with pytest.raises(CheckpointError, match=r"missing: bn1\.frozen"):
+        load(weights_of(arrays), act())
 
 
 def test_resnet_of_torchvision_goes_into_the_image_encoder():

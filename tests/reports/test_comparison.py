@@ -10,6 +10,8 @@ import subprocess
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
+from places import REPO
+from running import exit_code
 from web_page import Page
 
 from jaxcam.config.fields import to_json
@@ -312,3 +314,22 @@ def test_the_page_has_no_console_errors(runs, tmp_path):
                           check=True, timeout=120)  # fmt: skip
     assert "Table I of the paper" in done.stdout
     assert "CONSOLE" not in done.stderr
+
+
+def test_nothing_is_written_over_what_is_read_or_is_not_a_report(tmp_path, capsys):
+    results, other = tmp_path / "results", tmp_path / "other"
+    shutil.copytree(REPO / "results" / "lift", results)
+    other.mkdir()
+    (other / "runs.json").write_text("mine")
+    before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
+    assert exit_code("report", results, "--out", results) == 2
+    assert exit_code("report", results, "--out", other) == 2
+    assert exit_code("report", "--out", results) == 2  # no runs: not an empty report
+    assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
+
+
+def test_links_that_lead_back_are_followed_once(tmp_path):
+    shutil.copytree(REPO / "results" / "lift", tmp_path / "results" / "lift")
+    for name in ("a", "b"):
+        (tmp_path / "results" / name).symlink_to(tmp_path / "results")
+    assert len(read_runs([tmp_path])) == len(read_runs([tmp_path / "results" / "lift"]))

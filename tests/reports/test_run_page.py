@@ -227,3 +227,15 @@ def test_figures_need_no_pyplot_and_change_no_settings():
         "assert mpl.rcParams.copy() == before\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_links_out_of_the_run_are_not_embedded(run, tmp_path_factory):
+    secret = tmp_path_factory.mktemp("elsewhere") / "secret.png"
+    secret.write_bytes(b"a file of the system")
+    (run / "plots").mkdir()
+    (run / "plots" / "loss.png").symlink_to(secret)
+    (run / "pictures").symlink_to(secret.parent)
+    (run / "env.txt").symlink_to(secret)
+    page = write_report(run).read_text("utf-8")
+    assert base64.b64encode(secret.read_bytes()).decode() not in page
+    assert "a file of the system" not in page

@@ -44,5 +44,15 @@ def test_another_environment_is_reported(tmp_path, monkeypatch, caplog):
     monkeypatch.setattr(environment, "environment", lambda: {"numpy": "0.1"})
     with caplog.at_level(logging.WARNING):
         record_environment(tmp_path)
-    assert "not bit-exact: now numpy 0.1" in caplog.text
+    assert f"numpy {np.__version__} -> 0.1" in caplog.text
+    assert f"cpu {jax.devices()[0].device_kind} -> none" in caplog.text
     assert (tmp_path / "env.txt").read_text() == "numpy 0.1\n"
+
+
+def test_fewer_devices_are_told_with_both_numbers_of_them(tmp_path, monkeypatch, caplog):
+    for devices in ("cpu cpu, cpu cpu", "cpu cpu"):
+        monkeypatch.setattr(
+            environment, "environment", lambda devices=devices: {"devices": devices}
+        )
+        record_environment(tmp_path)
+    assert "not bit-exact: devices cpu cpu, cpu cpu -> cpu cpu." in caplog.text

@@ -14,7 +14,7 @@ import pytest
 import jaxcam.runs.environment
 from jaxcam.config.fields import from_json
 from jaxcam.config.train import TrainConfig
-from jaxcam.errors import ConfigError
+from jaxcam.errors import CheckpointError, ConfigError
 from jaxcam.files.jsonl import read_jsonl
 from jaxcam.runs.environment import package_versions
 from jaxcam.runs.folder import RunDir
@@ -81,7 +81,7 @@ def test_damaged_or_missing_configuration(tmp_path):
         RunDir.open(config(tmp_path))
     (tmp_path / "config.json").unlink()
     (tmp_path / "checkpoints" / "3").mkdir(parents=True)
-    with pytest.raises(ConfigError, match=r"has checkpoints but no config\.json"):
+    with pytest.raises(ConfigError, match=r"has checkpoints, .* but no config\.json"):
         RunDir.open(config(tmp_path))
     assert not (tmp_path / "config.json").exists()
 
@@ -158,6 +158,22 @@ def test_rewind_drops_what_is_written_again(tmp_path):
     with RunDir.open(config(tmp_path)) as run:
         run.rewind(0)
         for step in (1, 2, 2, 3):
-            run.log({"step": step, "kind": "train"})
+            run.log({"step": step, "loss": 1.0})
         run.rewind(2)
         assert [row["step"] for row in read_jsonl(run.metrics)] == [1, 2, 2]
+
+
+def test_a_folder_with_files_of_others_is_left_alone(tmp_path):
+    (tmp_path / "report.html").write_text("mine")
+    with pytest.raises(ConfigError, match=r"has report.html but no config\.json"):
+        RunDir.open(config(tmp_path))
+    assert (tmp_path / "report.html").read_text() == "mine"
+
+
+def test_a_folder_that_is_renamed_while_its_run_trains(tmp_path):
+    with RunDir.open(config(tmp_path / "run")) as run:
+        run.check_there()
+        (tmp_path / "run").rename(tmp_path / "renamed")
+        with pytest.raises(CheckpointError, match="was renamed, moved or deleted"):
+            run.check_there()
+    assert not (tmp_path / "run").exists()

@@ -1,8 +1,11 @@
 """Grids of runs: what a file expands to, and what is refused in it."""
 
+import json
+
 import pytest
 from small_grid import GRIDS, SMALL
 
+from jaxcam.config.fields import to_json
 from jaxcam.config.flags import parse
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
@@ -65,3 +68,47 @@ def test_the_grids_of_the_repository_are_whole(path):
         seeds[r.config.policy].add(r.config.seed)
         assert len(r.steps) == 10
     assert all(s == ({0} if policy == "smolvla" else {0, 1, 2}) for policy, s in seeds.items())
+
+
+PATHS = [
+    {"dataset": "a/mine.hdf5"}, {"dataset": "b/mine.hdf5"}, {"data_dir": "elsewhere"},
+    {"weights": "a/r18.pth"}, {"weights": "b/r18.pth"}, {"weights": "a/r18.pt"},
+    {"lr": 0.0001234567891}, {"lr": 0.0001234567892}, {"lr": 0.000123457}, {"views": 1},
+]  # fmt: skip
+
+
+def grid_of(*runs):
+    """The small grid with these runs instead of its own; its file is formatted once more."""
+    lines = (f"  - {json.dumps({'task': 'lift', 'seed': 0} | run)}\n" for run in runs)
+    return SMALL.partition("  - ")[0] + "".join(lines).replace("{", "{{").replace("}", "}}")
+
+
+def test_runs_that_differ_in_a_path_or_in_a_late_digit_are_planned_apart(write):
+    plan = read_grid(write(grid_of(*PATHS)))
+    assert len({run.folder for run in plan.runs}) == len(PATHS)
+    assert [run.config.lr for run in plan.runs[6:8]] == [0.0001234567891, 0.0001234567892]
+
+
+def test_a_run_that_version_0_1_0_began_keeps_its_folder(write):
+    ours, others = (grid_of({"dataset": f"{folder}/mine.hdf5"}) for folder in "ab")
+    (run,) = read_grid(write(ours)).runs
+    old = run.folder.with_name("lift-randomized-act-laptop-keypoints-steps40-datasetmine-0")
+    assert run.folder != old
+    old.mkdir(parents=True)
+    (old / "config.json").write_text(to_json(run.config))
+    assert read_grid(write(ours)).runs[0].folder == old
+    assert read_grid(write(others)).runs[0].folder != old
+
+
+@pytest.mark.parametrize("changed", [{"pairs": [4, 8]}, {"accumulate": [1, 2]}, {"videos": [0, 1]}])
+def test_runs_that_would_share_a_folder_are_refused(write, changed):
+    (name,) = changed
+    with pytest.raises(ConfigError, match=f"differ only in {name}"):
+        read_grid(write(grid_of(changed)))
+
+
+def test_a_long_name_is_cut_and_told_apart(write):
+    models = [[f"heat_gain={i}.{1:0200d}"] for i in (1, 2)]
+    names = {run.name for run in read_grid(write(grid_of({"model": models}))).runs}
+    assert len(names) == 2
+    assert max(map(len, names)) < 255 - len(".log")

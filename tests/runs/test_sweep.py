@@ -15,6 +15,7 @@ from small_grid import SMALL, needs_submitit
 
 from jaxcam.errors import ConfigError
 from jaxcam.files.jsonl import read_jsonl
+from jaxcam.files.locks import NamedLock
 from jaxcam.runs import sweep
 from jaxcam.runs.grid import progress_of, read_grid
 from jaxcam.runs.jobs import Here, Submitit
@@ -89,6 +90,40 @@ def test_a_signal_lets_the_runs_save(write, monkeypatch):
     monkeypatch.setenv("FAKE_SECONDS", "0")
     entries, _ = run(plan)
     assert {e.state for e in entries.values()} == {"done"}
+
+
+@pytest.mark.parametrize("line", ["{nonsense", "[1]", '{"step": "many"}'])
+def test_a_run_whose_records_are_damaged_does_not_stop_the_others(write, line):
+    plan = read_grid(write())
+    damaged = plan.runs[1].folder / "metrics.jsonl"
+    damaged.parent.mkdir(parents=True)
+    damaged.write_text(line + "\n")
+    entries, said = run(plan)
+    assert [e.state for e in entries.values()] == ["done", "failed", "done", "done"]
+    assert "metrics.jsonl" in entries[plan.runs[1].name].reason
+    assert f"failed  {plan.runs[1].name}" in said
+    assert damaged.read_text() == line + "\n"
+
+
+def test_a_run_that_an_orphan_trains_is_waited_for(write):
+    """A sweep that was killed leaves its child; the next one does not call its run failed."""
+    plan = read_grid(write())
+    folder = plan.runs[0].folder
+    folder.mkdir(parents=True)
+    orphan = NamedLock(folder / "lock")
+    orphan.take()
+    said = []
+
+    def end():
+        time.sleep(0.5)
+        said.append((folder / "starts.jsonl").exists())
+        orphan.free()
+
+    threading.Thread(target=end, daemon=True).start()
+    entries, _ = run(plan)
+    assert said == [False]
+    assert {e.state for e in entries.values()} == {"done"}
+    assert [starts(e) for e in entries.values()] == [1, 1, 1, 1]
 
 
 @needs_submitit

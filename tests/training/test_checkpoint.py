@@ -34,7 +34,9 @@ from tiny_checkpoints import (
 
 import jaxcam.training.checkpoint
 import jaxcam.training.side
-from jaxcam.errors import CheckpointError
+from jaxcam.config.fields import to_json
+from jaxcam.errors import CheckpointError, ConfigError
+from jaxcam.runs.identity import read_config
 from jaxcam.training.checkpoint import Checkpoints, checkpoint_steps, load_policy_inputs
 from jaxcam.training.side import make_side
 from jaxcam.training.state import init_state
@@ -292,3 +294,18 @@ def test_stale_half_written_checkpoints_are_removed(run):
     with Checkpoints(run / "checkpoints") as checkpoints:
         assert not stale.exists()
         assert checkpoints.steps() == [1, 2, 3]
+
+
+@pytest.mark.parametrize("changed", [{"lr": 0.5}, {"conditioning": "none"}, {"seed": 4}])
+def test_a_config_that_is_not_the_checkpoints_is_refused(run, changed):
+    own = dataclasses.replace(CONFIG, pairs=7, data_dir="elsewhere")  # training stays as it was
+    (run / "config.json").write_text(to_json(own))
+    assert load_policy_inputs(run).step == 3
+    assert read_config(run) == own
+    (run / "config.json").write_text(to_json(dataclasses.replace(CONFIG, **changed)))
+    (name,) = changed
+    for read in (load_policy_inputs, read_config):
+        with pytest.raises(
+            ConfigError, match=rf"not what checkpoint 1 was trained with \({name}: "
+        ):
+            read(run)

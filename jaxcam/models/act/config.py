@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 
+from jaxcam.config.fields import check_least
 from jaxcam.errors import ConfigError
 from jaxcam.models.conditioning import VisionConfig, check_known
 from jaxcam.models.losses import PADDINGS
@@ -58,12 +59,15 @@ class ActConfig(VisionConfig):
     def __post_init__(self) -> None:
         """Refuse values that cannot work."""
         super().__post_init__()
+        check_least(self, 1, "chunk width heads hidden layers")
+        check_least(self, 0, "execute keyframe_weight pose_tokens latent_dim latent_layers")
+        check_least(self, 0, "kl_weight dropout action_std_floor")
         known = {"head": ("transformer", "mlp"), "image_positions": ("learned", "sine")}
         check_known(self, padding=PADDINGS, **known)
         if self.width % self.heads:
             raise ConfigError(f"width {self.width} is not a multiple of heads {self.heads}.")
-        if self.execute < 0 or self.keyframe_weight < 0:
-            raise ConfigError("execute and keyframe_weight must not be negative.")
+        if self.dropout >= 1:
+            raise ConfigError(f"dropout must be below 1, got {self.dropout}.")
 
     def outputs(self, spec: PolicySpec) -> int:
         """Numbers predicted a step: an action and, if asked for, its keyframe's position."""

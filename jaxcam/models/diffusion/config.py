@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from jaxcam.config.fields import check_least
 from jaxcam.errors import ConfigError
 from jaxcam.models.conditioning import VisionConfig, check_known
 from jaxcam.models.diffusion.samplers import SAMPLERS
@@ -75,6 +76,13 @@ class DiffusionConfig(VisionConfig):
     def __post_init__(self) -> None:
         """Refuse values that cannot work."""
         super().__post_init__()
+        check_least(self, 1, "chunk features kernel groups step_width noising_steps")
+        check_least(self, 0, "execute keyframe_weight crop temperature")
+        if not self.channels or min(self.channels + self.hidden) < 1:
+            raise ConfigError(
+                f"channels and hidden are widths of at least 1, and there is at least one stage; "
+                f"got {self.channels} and {self.hidden}."
+            )
         check_known(self, sampler=SAMPLERS, padding=PADDINGS)
         multiple = 2 ** (len(self.channels) - 1)
         if self.chunk % multiple:
@@ -95,9 +103,6 @@ class DiffusionConfig(VisionConfig):
                 f"sample_steps must be 1 to noising_steps ({self.noising_steps}), "
                 f"got {self.sample_steps}."
             )
-        for name in ("execute", "keyframe_weight", "crop", "temperature"):
-            if getattr(self, name) < 0:
-                raise ConfigError(f"{name} must not be negative, got {getattr(self, name)}.")
         if not 1 <= self.obs_steps < self.chunk:
             raise ConfigError(f"obs_steps must be 1 to {self.chunk - 1}, got {self.obs_steps}.")
 

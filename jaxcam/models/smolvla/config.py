@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from jaxcam.config.fields import check_least
 from jaxcam.errors import ConfigError
 from jaxcam.models.conditioning import CameraConfig, check_known
 from jaxcam.models.losses import PADDINGS
@@ -84,6 +85,10 @@ class SmolVlaConfig(CameraConfig):
     def __post_init__(self) -> None:
         """Refuse values that cannot work."""
         super().__post_init__()
+        check_least(self, 1, "chunk steps state_width image_size patch vision_width vision_layers")
+        check_least(self, 1, "vision_heads vision_hidden shuffle vocabulary width layers heads")
+        check_least(self, 1, "kv_heads head_dim hidden expert_width expert_hidden")
+        check_least(self, 0, "execute action_width")
         check_known(
             self,
             attention=("joint", "interleaved"),

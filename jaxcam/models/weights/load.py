@@ -15,17 +15,28 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import ml_dtypes
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from jaxcam.errors import CheckpointError
-from jaxcam.files.jsonl import write_atomically
 from jaxcam.files.paths import absolute
+from jaxcam.files.whole import write_atomically
 from jaxcam.models.policy import Params
-from jaxcam.models.weights.names import MAPS, NameMap, recognise
+from jaxcam.models.weights.names import MAPS, NameMap, recognise, unwrap
 from jaxcam.models.weights.torch_files import read_torch
 
+LFS_HEAD = b"version https://git-lfs.github.com/spec/"
+"""What the files begin with that Git LFS leaves where the large ones were not fetched."""
+FLOAT8 = {
+    "F8_E4M3": ml_dtypes.float8_e4m3fn,
+    "F8_E5M2": ml_dtypes.float8_e5m2,
+    "F8_E8M0": ml_dtypes.float8_e8m0fnu,
+}
+"""Types of safetensors that NumPy has no names for."""
+NORM, COUNTER = ("weight", "bias", "running_mean", "running_var"), "num_batches_tracked"
+"""What PyTorch calls the arrays of a batch norm, and the count beside them."""
 SHOWN = 5
 """Names of a kind that an error lists."""
 
@@ -36,7 +47,7 @@ class Weights:
 
     path: Path
     arrays: dict[str, np.ndarray]
-    """By their names in the file."""
+    """By their names in the file, without what wrappers put before them."""
     kind: NameMap | None
     """How they are laid out, if that is known."""
     sha256: str
@@ -60,24 +71,56 @@ def read_weights(path: str | Path) -> Weights:
         )
     if not path.is_file():
         raise CheckpointError(f"There is no file {path}.")
+    check_head(path)
     arrays = _read_safetensors(path) if path.suffix == ".safetensors" else read_torch(path)
     with path.open("rb") as file:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+    arrays = unwrap(arrays)
     return Weights(path, arrays, recognise(list(arrays)), sha256)
+
+
+def check_head(path: Path) -> None:
+    """Refuse a file that is empty, or in whose place Git LFS has left a pointer.
+
+    Args:
+        path: A file of weights.
+
+    Raises:
+        CheckpointError: It is such a file, or cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            head = file.read(len(LFS_HEAD))
+    except OSError as error:
+        raise CheckpointError(f"{path} cannot be read: {error.strerror}.") from error
+    if not head:
+        raise CheckpointError(f"{path} is empty: a download or a copy of it was not finished.")
+    if head == LFS_HEAD:
+        raise CheckpointError(
+            f"{path} is a pointer of Git LFS, not the weights themselves: run `git lfs pull` in "
+            "its repository, or download the file."
+        )
 
 
 def _read_safetensors(path: Path) -> dict[str, np.ndarray]:
     try:
         # Here, since only the extra `smolvla` brings it.
-        from safetensors import SafetensorError, safe_open
+        from safetensors import SafetensorError, deserialize, safe_open
     except ImportError as error:
         raise CheckpointError(
             "Reading .safetensors needs the package safetensors: pip install 'jaxcam[smolvla]'"
         ) from error
     try:
         with safe_open(path, framework="numpy") as file:
-            return {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except SafetensorError as error:
+            types = {name: file.get_slice(name).get_dtype() for name in file.keys()}  # noqa: SIM118
+            arrays = {n: file.get_tensor(n) for n, kind in types.items() if kind not in FLOAT8}
+        if len(arrays) < len(types):
+            for name, about in deserialize(path.read_bytes()):
+                if (kind := types[name]) in FLOAT8:
+                    array = np.frombuffer(about["data"], FLOAT8[kind])
+                    arrays[name] = array.reshape(about["shape"])
+        return {name: arrays[name] for name in types}
+    except (SafetensorError, TypeError, AttributeError) as error:  # The last are of new types.
         raise CheckpointError(f"{path} is not a whole .safetensors file: {error}.") from error
 
 
@@ -109,7 +152,7 @@ def load(weights: Weights, params: Mapping[str, Any], *, new_stem: bool = False)
             f"{', '.join(list(weights.arrays)[:SHOWN])}."
         )
     kind = weights.kind
-    theirs = _fold_batch_norms(kind.prepare(_cut(weights.arrays, kind.prefix)))
+    theirs = _prepared(weights, kind)
     unplaced, missing, wrong = set(theirs), [], []
 
     def place(node: Mapping[str, Any], path: tuple[str, ...]) -> dict[str, Any]:
@@ -126,7 +169,7 @@ def load(weights: Weights, params: Mapping[str, Any], *, new_stem: bool = False)
             else:
                 unplaced.discard(name)
                 array = _from_torch(_as_linear(theirs[name], value.ndim), key)
-                if key == "kernel" and array.ndim == 4 and array.shape[2] == 3 < value.shape[2]:
+                if key == "kernel" and _lacks_rays(array.shape, tuple(value.shape)):
                     array = value if new_stem else np.concatenate([array, value[:, :, 3:]], 2)
                 if array.shape != tuple(value.shape):
                     expected, got = _torch_shape(value, key), theirs[name].shape
@@ -171,6 +214,36 @@ def load_after(
     return loaded
 
 
+def _prepared(weights: Weights, kind: NameMap) -> dict[str, np.ndarray]:
+    """A file's arrays by the names that its kind's map gives, batch norms folded."""
+    cut = _cut(weights.arrays, kind.prefix)
+    used = {name: array for name, array in cut.items() if not re.fullmatch(kind.unused, name)}
+    odd = [
+        f"{name} ({array.dtype})"
+        for name, array in used.items()
+        if not jnp.issubdtype(array.dtype, jnp.floating) and not name.endswith(COUNTER)
+    ]
+    if odd:
+        raise CheckpointError(
+            f"{weights.path} is {kind.title}, but not in floating-point numbers:"
+            + _listed("arrays are of another type", odd)
+            + " Save its weights as float32."
+        )
+    try:
+        return _fold_batch_norms(kind.prepare(cut))
+    except (KeyError, ValueError, IndexError) as error:
+        raise CheckpointError(
+            f"{weights.path} looks like {kind.title}, but its arrays cannot be taken apart as "
+            f"those of one: {error}."
+        ) from error
+
+
+def _lacks_rays(theirs: tuple[int, ...], ours: tuple[int, ...]) -> bool:
+    """Whether a kernel takes colours alone, and ours, like it otherwise, a ray-map too."""
+    rest = theirs[:2] + theirs[3:] == ours[:2] + ours[3:]
+    return len(theirs) == len(ours) == 4 and rest and theirs[2] == 3 < ours[2]
+
+
 def _cut(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
     matches = ((re.match(prefix, name), name) for name in arrays)
     return {name[match.end() :]: arrays[name] for match, name in matches if match}
@@ -180,13 +253,10 @@ def _fold_batch_norms(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Batch norms as the scale and bias that they are once their statistics stand still."""
     folded = dict(arrays)
     for name in arrays:
-        if name.endswith(".running_var"):
-            norm = name.removesuffix("running_var")
-            folded.pop(norm + "num_batches_tracked", None)
-            weight, bias, mean, var = (
-                folded.pop(norm + part).astype(np.float32)
-                for part in ("weight", "bias", "running_mean", "running_var")
-            )
+        norm = name.removesuffix("running_var")
+        if name.endswith(".running_var") and all(norm + part in arrays for part in NORM):
+            folded.pop(norm + COUNTER, None)
+            weight, bias, mean, var = (folded.pop(norm + part).astype(np.float32) for part in NORM)
             scale = weight / np.sqrt(var + np.float32(1e-5))
             folded[norm + "frozen_scale"] = scale
             folded[norm + "frozen_bias"] = bias - mean * scale
@@ -228,29 +298,35 @@ def _torch_shape(value: Any, leaf: str) -> tuple[int, ...]:
 
 
 def _complaint(weights: Weights, missing: list[str], extra: list[str], wrong: list[str]) -> str:
-    def listed(what: str, names: list[str]) -> str:
-        more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-        return f" {len(names)} {what}: {', '.join(names[:SHOWN])}{more}." if names else ""
-
     title = weights.kind.title if weights.kind else ""
     hint = ""
     if any("frozen" in name for name in extra):
         hint = " Batch norms with statistics need --model norm=frozen."
     return (
         f"{weights.path} looks like {title}, but is not this network."
-        + listed("names are missing", missing)
-        + listed("names have no place here", extra)
-        + listed("shapes differ", wrong)
+        + _listed("names are missing", missing)
+        + _listed("names have no place here", extra)
+        + _listed("shapes differ", wrong)
         + hint
     )
+
+
+def _listed(what: str, names: list[str]) -> str:
+    """A sentence about names, the first of them in full; empty if there are none."""
+    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return f" {len(names)} {what}: {', '.join(names[:SHOWN])}{more}." if names else ""
 
 
 def show(weights: Weights) -> None:
     """Print what a file is, and its arrays."""
     table = Table("name", "shape", "type", box=None)
     for name, array in weights.arrays.items():
-        table.add_row(name, "x".join(map(str, array.shape)) or "scalar", str(array.dtype))
-    console = Console()
+        table.add_row(
+            name if name.isprintable() else repr(name),
+            "x".join(map(str, array.shape)) or "scalar",
+            str(array.dtype),
+        )
+    console = Console(markup=False)
     console.print(table)
     count = sum(array.size for array in weights.arrays.values())
     kind = weights.kind.title if weights.kind else "of an unknown kind"

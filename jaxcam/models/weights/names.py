@@ -166,3 +166,28 @@ def recognise(names: list[str]) -> NameMap | None:
         if any(re.fullmatch(known.marker, name) for name in names):
             return known
     return None
+
+
+WRAPPED = ("state_dict.", "model_state_dict.", "module.", "model.")
+"""What training scripts and parallel training put before all names of a network."""
+
+
+def unwrap(arrays: Arrays) -> Arrays:
+    """Arrays by the names that their network gives them.
+
+    Names that are of a known kind stay as they are. From others what wrappers put there is cut:
+    `_orig_mod.` of `torch.compile` anywhere, the names in `WRAPPED` in front. Beside a state dict
+    lie the optimizer's arrays, which are then left out.
+
+    Args:
+        arrays: By their names in the file.
+    """
+    plain = {re.sub(r"(^|\.)_orig_mod\.", r"\1", name): array for name, array in arrays.items()}
+    if len(plain) < len(arrays) or recognise(list(plain)) is not None:
+        return plain if len(plain) == len(arrays) else arrays
+    for prefix in WRAPPED:
+        inner = {n.removeprefix(prefix): a for n, a in plain.items() if n.startswith(prefix)}
+        whole = len(inner) == len(plain) or "state_dict" in prefix
+        if inner and whole and recognise(list(unwrapped := unwrap(inner))) is not None:
+            return unwrapped
+    return arrays

@@ -8,7 +8,7 @@ import threading
 
 import pytest
 
-from jaxcam.runs.interrupts import interrupts
+from jaxcam.interrupts import Stopped, check_stop, interrupts
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
@@ -21,14 +21,29 @@ def test_first_signal_is_a_flag(number, code, capfd):
         assert interrupt
         assert interrupt.exit_code == code
     assert signal.getsignal(number) is before
-    assert "Stopping after this update" in capfd.readouterr().err
+    assert "Stopping; once more stops now." in capfd.readouterr().err
+
+
+def test_loops_are_stopped_by_the_innermost_block_that_does_not_look_itself():
+    check_stop()
+    with interrupts() as outer:
+        with interrupts(raises=False) as inner:
+            signal.raise_signal(signal.SIGTERM)
+            check_stop()
+            assert inner
+        assert not outer
+        signal.raise_signal(signal.SIGTERM)
+        with pytest.raises(Stopped) as stopped:
+            check_stop()
+        assert stopped.value.exit_code == 143
+    check_stop()
 
 
 @pytest.mark.parametrize("second", [signal.SIGINT, signal.SIGTERM])
 def test_second_signal_stops_at_once(second):
     script = textwrap.dedent("""
         import time
-        from jaxcam.runs.interrupts import interrupts
+        from jaxcam.interrupts import interrupts
         with interrupts() as interrupt:
             print("ready", flush=True)
             while not interrupt: time.sleep(0.01)
