@@ -28,7 +28,7 @@ EVALUATIONS = {
     "a rollout that failed": (
         lambda r: write(r / "eval" / "rows.jsonl",
                         [row(2, 0), row(2, 1), row(2, 2, status="error", success=False)]),
-        "note", "2 of 3 pairs have an outcome; 1 ended in an error",
+        "note", "2 of 3 pairs have an outcome; 1 ended in an error of the simulator",
     ),
     "a rollout twice": (
         lambda r: write(r / "eval" / "rows.jsonl", [row(2, p) for p in (0, 1, 2, 1)]),
