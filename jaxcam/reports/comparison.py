@@ -102,7 +102,7 @@ def _about(arms: Sequence[Arm]) -> list[Block]:
     if excluded := sum(arm.estimate.excluded for arm in arms):
         blocks.append(
             Text(
-                f"Rollouts that the simulator failed in, which count in no rate: {excluded}.",
+                f"Rollouts that did not finish and count in no rate: {excluded}.",
                 warns=True,
             )
         )

@@ -88,7 +88,7 @@ def _record(where: str, entry: Any) -> RunRecord:
         if not fits:
             raise DatasetError(f"{where}: {name} is {given.get(name)!r}, expected {expected}.")
     settings = dict(cast("Mapping[str, Any]", given["settings"]))
-    settings = dict.fromkeys(NAMED, NOT_RECORDED) | settings
+    settings |= {name: NOT_RECORDED for name in NAMED if name not in settings}
     for name, value in settings.items():
         if not _fits(name, value):
             raise DatasetError(f"{where}: the setting {name} is {value!r}, which it cannot be.")

@@ -1,9 +1,9 @@
 """Paired differences of two arms: one estimate of how sure they are, which gives interval and p.
 
 The mean difference over pairs is held against Student's t, after two pairs are added that were
-never run, one for each arm and as far apart as pairs can be believed to be (Bonett and Price's
-adjustment, which for single rollouts adds a pair to either discordant cell). Without them few pairs
-that happen to agree would leave no doubt. The p-value is where the same interval would end at
+never run, one for each arm and as far apart as large differences are (for single rollouts that is
+Bonett and Price's adjustment, a pair more in either discordant cell). Without them few pairs that
+happen to agree would leave no doubt. The p-value is where the same interval would end at
 zero, so the two never contradict each other.
 """
 
@@ -17,7 +17,7 @@ from jaxcam.results.rows import Row
 from jaxcam.results.stats import LEVEL, PairOutcomes, by_pair, by_seed, p_text, with_seeds
 
 _MANY = 20
-"""Pairs from which on the largest difference that was seen stands for those that were not."""
+"""Pairs from which on the differences that were seen stand for those that were not."""
 
 
 @dataclass(frozen=True)
@@ -119,12 +119,14 @@ def studentised(deltas: np.ndarray) -> tuple[float, float, float]:
     count = len(deltas)
     if count < 2:
         return -1.0, 1.0, 1.0
-    most = float(np.abs(deltas).max()) or 1.0
-    # The fewer the pairs, the less is known of the largest difference that there is.
-    added = most**2 + (1 - most**2) * max(0.0, 1 - count / _MANY)
+    squares = deltas**2
+    # The square of the pairs that are added: large differences, of which few pairs know little,
+    # weigh most in it; where there are few pairs it is nearly the largest that there can be.
+    known = float(np.sum(squares**2) / np.sum(squares)) if squares.any() else 1.0
+    added = known + (1 - known) * max(0.0, 1 - count / _MANY)
     total = count + 2
     mean = float(deltas.sum()) / total
-    variance = (float(np.sum(deltas**2)) + 2 * added) / total - mean**2
+    variance = (float(squares.sum()) + 2 * added) / total - mean**2
     error = (variance / total) ** 0.5
     half = float(scipy.stats.t.ppf((1 + LEVEL) / 2, count - 1)) * error
     # A sum of differences that cancel is zero, also in floating point.

@@ -56,7 +56,8 @@ def test_a_row_says_what_was_run(evaluator, candidate):
     said = Row(
         task="lift", scene="randomized", run="a run", policy="act", conditioning="keypoints",
         seed=4, step=40, split="validation", pair=5, success=False, status="ok", steps=HORIZON,
-        weights_sha=candidate.weights_sha, renderer=evaluator.renderer.look(), engine="native", ensemble=0.0, width=WIDTH,
+        weights_sha=candidate.weights_sha, renderer=evaluator.renderer.look(), engine="native",
+        ensemble=0.0, width=WIDTH,
     )  # fmt: skip
     measured = ("pair_sha", "camera", "distance", "elevation_deg", "azimuth_deg", "episode_seed")
     assert replace(rows[0], **dict.fromkeys(measured)) == said
