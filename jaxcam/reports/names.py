@@ -9,6 +9,7 @@ import re
 from urllib.parse import quote
 
 _LONGEST = 100
+_WIDE_WORD = r"(\S{47})\S{2,}"  # a figure has no room for more
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 _TEX = {"\\": r"\textbackslash{}", "–": "--", "×": r"$\times$", "≥": r"$\geq$", "<": "$<$",
         ">": "$>$", "−": "$-$", "’": "'", "~": r"\textasciitilde{}",
@@ -38,12 +39,13 @@ def plain_line(text: str) -> str:
 
 
 def drawn(text: str) -> str:
-    """The text as matplotlib draws it, which takes what stands between dollars for a formula.
+    """The text as matplotlib draws it, without formulas (between dollars) and endless words.
 
     Args:
         text: Any text.
     """
-    return "\n".join(plain_line(line) for line in text.split("\n")).replace("$", r"\$")
+    lines = (re.sub(_WIDE_WORD, "\\1…", plain_line(line)) for line in text.split("\n"))
+    return "\n".join(lines).replace("$", r"\$")
 
 
 def latex(text: str) -> str:

@@ -209,7 +209,7 @@ def _diamond(axes: Axes, x: float, y: float) -> None:
 def _title(axes: Axes, title: str) -> None:
     """The first line large, what is particular below it."""
     first, _, rest = drawn(title).partition("\n")
-    below = textwrap.fill(rest, 34)
+    below = textwrap.fill(rest, 34, break_long_words=False)
     axes.set_title(first, pad=8 + 10 * (1 + below.count("\n")))
     axes.text(0, 1.03, below, transform=axes.transAxes, color=GREY, fontsize=8, va="bottom")
 
@@ -218,7 +218,7 @@ def _twin_name(arm: Arm) -> str:
     s = arm.settings
     label = arm.label("views", "n", "m").removeprefix("paper preset").removeprefix(", ")
     words = filter(None, [policy_title(s["policy"]), task_title(s["task"]), label])
-    return drawn(textwrap.fill(", ".join(words), 32))
+    return textwrap.fill(drawn(", ".join(words)), 32, break_long_words=False)
 
 
 def _rates(axes: Axes) -> None:
