@@ -9,6 +9,7 @@ zero, so the two never contradict each other.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.stats
@@ -128,9 +129,10 @@ def studentised(deltas: np.ndarray) -> tuple[float, float, float]:
     mean = float(deltas.sum()) / total
     variance = (float(squares.sum()) + 2 * added) / total - mean**2
     error = (variance / total) ** 0.5
-    half = float(scipy.stats.t.ppf((1 + LEVEL) / 2, count - 1)) * error
+    student: Any = scipy.stats.t(count - 1)
+    half = float(student.ppf((1 + LEVEL) / 2)) * error
     # A sum of differences that cancel is zero, also in floating point.
-    p_value = 2 * float(scipy.stats.t.sf(abs(round(mean, 12)) / error, count - 1))
+    p_value = 2 * float(student.sf(abs(round(mean, 12)) / error))
     return max(mean - half, -1.0), min(mean + half, 1.0), p_value
 
 
