@@ -148,8 +148,10 @@ class Evaluator:
                 pair=pair,
                 pair_sha=digests[i],
                 weights_sha=candidate.weights_sha,
-                success=bool(done.success[i]) if done.ok[i] else None,
-                status=_status(done, i),
+                success=None
+                if (status := _status(done, i)) == "simulator"
+                else bool(done.success[i]),
+                status=status,
                 steps=int(done.steps[i]),
                 azimuth_deg=float(np.rad2deg(azimuth[i])),
                 elevation_deg=float(np.rad2deg(elevation[i])),
