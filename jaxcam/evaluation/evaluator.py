@@ -148,9 +148,7 @@ class Evaluator:
                 pair=pair,
                 pair_sha=digests[i],
                 weights_sha=candidate.weights_sha,
-                success=None
-                if (status := _status(done, i)) == "simulator"
-                else bool(done.success[i]),
+                success=success,
                 status=status,
                 steps=int(done.steps[i]),
                 azimuth_deg=float(np.rad2deg(azimuth[i])),
@@ -164,6 +162,7 @@ class Evaluator:
                 episode_seed=chosen.seeds[i],
             )
             for i, pair in enumerate(pairs)
+            for status, success in [_outcome(done, i)]
         ]
 
     def _acting(self, policy: Policy, params: Any) -> Partial:
@@ -224,8 +223,8 @@ class Acting:
         return jax.jit(self.act)(params, obs, jax.random.fold_in(root, number))
 
 
-def _status(done: Rollouts, i: int) -> Status:
-    """How a rollout ended: a policy that gave no actions before the physics failed is at fault."""
-    if not done.acted[i]:
-        return "policy"
-    return "ok" if done.ok[i] else "simulator"
+def _outcome(done: Rollouts, i: int) -> tuple[Status, bool | None]:
+    """How a rollout ended, and its outcome; none where the simulator failed under a good policy."""
+    if done.acted[i] and not done.ok[i]:
+        return "simulator", None
+    return ("ok" if done.acted[i] else "policy"), bool(done.success[i])
