@@ -1,4 +1,4 @@
-"""Whether the evaluations of a run are whole: an outcome, and one only, for each of their pairs."""
+"""Whether the evaluations of a run are its own and whole: one outcome for each of their pairs."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -10,20 +10,21 @@ from jaxcam.console.words import some
 from jaxcam.errors import JaxcamError
 from jaxcam.results.rows import Row
 from jaxcam.results.stats import latest_rows
-from jaxcam.runs.rollouts import read_rows, rows_file
+from jaxcam.runs.rollouts import read_run_rows
 
 
 def check_evaluations(folder: Path, pairs: int) -> Iterator[Finding]:
-    """Whether each evaluated checkpoint has an outcome for each of its pairs.
+    """Whether the rows are the run's, and each evaluated checkpoint has an outcome for each pair.
 
     Args:
         folder: Of the run.
         pairs: Pairs that the run's settings ask for; an evaluation may have more.
     """
     try:
-        rows = read_rows(rows_file(folder))
+        rows = read_run_rows(folder)
     except JaxcamError as error:
-        yield bad("evaluation", got=str(error), fix="Cut the file before that line.")
+        fix = "Cut the file before that line, or move the folder eval away and evaluate anew."
+        yield bad("evaluation", got=str(error), fix=fix)
         return
     if not rows:
         yield note("evaluation", got="none yet", fix=f"python -m jaxcam.evaluate {folder}")
@@ -64,9 +65,11 @@ def _outcomes(rows: Sequence[Row], asked: int, where: str, again: str) -> Findin
     """Whether one evaluation's rows are all that was asked for; `again` runs what is missing."""
     done = sum(row.finished for row in rows)
     got = f"{done} of {asked} pairs have an outcome"
+    if broken := sum(row.status == "policy" for row in rows):
+        got += f"; in {broken} the policy gave no actions, which are failures"
     if done == asked:
         return good("evaluation", got=got, where=where)
     if failed := len(rows) - done:
-        got += f"; {failed} ended in an error"
+        got += f"; {failed} ended in an error of the simulator"
     fix = f"Run what is missing: {again}"
     return note("evaluation", got=got, expected=f"{asked}", where=where, fix=fix)

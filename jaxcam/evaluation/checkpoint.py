@@ -11,6 +11,7 @@ from rich.console import Console
 from jaxcam.console.progress import progress
 from jaxcam.data.pairs import store_pairs
 from jaxcam.devices import gathered, is_first, memory_lacks, shard
+from jaxcam.errors import DatasetError
 from jaxcam.evaluation.evaluator import Candidate, Evaluator
 from jaxcam.files.jsonl import append_jsonl
 from jaxcam.files.locks import exclusive
@@ -18,7 +19,7 @@ from jaxcam.files.video import grid, write_video
 from jaxcam.results.protocol import missing
 from jaxcam.results.rows import Row
 from jaxcam.results.stats import Estimate, latest_rows, success_rate
-from jaxcam.runs.rollouts import read_rows, rows_file
+from jaxcam.runs.rollouts import read_run_rows, rows_file
 from jaxcam.sim.rollout import Rollouts
 
 _log = logging.getLogger(__name__)
@@ -44,7 +45,8 @@ def evaluate(
 ) -> Estimate:
     """Runs the pairs of a checkpoint that have no row yet, and writes rows, and two videos.
 
-    A rollout that ends in an error is run once more; then it is counted, and reported, as an error.
+    A rollout whose simulator fails is run once more; then it is reported and left out. One whose
+    policy gives no actions has failed, and is not run again.
     The processes of one evaluation share its pairs, and the first of them writes. Separate
     evaluations of one run wait for each other and go on where the other stopped.
 
@@ -58,7 +60,8 @@ def evaluate(
         The success rate over the pairs, with its interval.
 
     Raises:
-        DatasetError: The run was evaluated on other pairs, or its rows are damaged.
+        DatasetError: The run was evaluated on other pairs, its rows are damaged, or they are of
+            another run or other weights.
         ConfigError: A batch of rollouts does not fit into memory.
     """
     file = rows_file(candidate.folder)
@@ -74,7 +77,7 @@ def rows_of(rows: Sequence[Row], evaluator: Evaluator, step: int, wanted: Wanted
     """Those rows that the evaluator would write for a checkpoint.
 
     Args:
-        rows: Of a run.
+        rows: Of a run, from `read_run_rows`.
         evaluator: Rows of another width, engine or ensembling are not its.
         step: Updates of the checkpoint.
         wanted: Which pairs.
@@ -111,9 +114,23 @@ def _run_missing(
 
 def _rows_so_far(evaluator: Evaluator, candidate: Candidate, wanted: Wanted) -> list[Row]:
     """The checkpoint's rows as the first process reads them, since all are to see the same."""
-    rows = read_rows(rows_file(candidate.folder)) if is_first() else []
+    rows = _own_rows(candidate) if is_first() else []
     rows = rows_of(rows, evaluator, candidate.step, wanted)
     return _shared(rows)[0]
+
+
+def _own_rows(candidate: Candidate) -> list[Row]:
+    """The rows of the candidate's run; those of its step were made with its weights."""
+    rows = read_run_rows(candidate.folder)
+    for row in rows:
+        other = row.weights_sha not in (None, candidate.weights_sha)
+        if row.step == candidate.step and other:
+            raise DatasetError(
+                f"{rows_file(candidate.folder)} has rows of other weights of step {row.step} "
+                f"({row.weights_sha}; those to evaluate are {candidate.weights_sha}): the run was "
+                f"trained anew, or the rows are another's. Move {candidate.folder / 'eval'} away."
+            )
+    return rows
 
 
 def _shared(rows: Sequence[Row]) -> list[list[Row]]:
@@ -164,10 +181,11 @@ def _write_videos(
 ) -> None:
     """A video of the first rollouts, and one of the first failures."""
     first = list(range(len(rows)))[: wanted.videos]
-    failures = [i for i, row in enumerate(rows) if row.status == "ok" and not row.success]
+    failures = [i for i, row in enumerate(rows) if row.finished and not row.success]
     failures = failures[: wanted.videos]
     shown = sorted({*first, *failures})
-    some = Rollouts(done.success[shown], done.steps[shown], done.ok[shown], done.qpos[:, shown])
+    some = Rollouts(done.success[shown], done.steps[shown], done.ok[shown], done.qpos[:, shown],
+                    done.acted[shown])  # fmt: skip
     drawn = evaluator.clips(some, wanted.split, [rows[i].pair for i in shown])
     clips = dict(zip(shown, drawn, strict=True))
     for name, chosen in (("", first), ("failures-", failures)):

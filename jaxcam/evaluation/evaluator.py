@@ -1,5 +1,6 @@
 """Rollouts of a policy on held-out pairs: the simulator of a task, and a row for each rollout."""
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,14 +14,17 @@ from jax.tree_util import Partial
 from jaxcam.config.train import TrainConfig
 from jaxcam.data.pairs import Pairs, make_pairs
 from jaxcam.devices import copied, data_mesh, spread
+from jaxcam.files.paths import absolute
 from jaxcam.models import Policy
 from jaxcam.rays import Camera, spherical
 from jaxcam.rays.intrinsics import intrinsics
-from jaxcam.results.rows import Row
+from jaxcam.results.rows import Row, Status
+from jaxcam.runs.rollouts import weights_digest
 from jaxcam.sim import engine_name, make_engine, make_painter, make_task
 from jaxcam.sim.actions import controller_of, space_of
 from jaxcam.sim.rollout import Agent, Episodes, Rollouts, rollout
 from jaxcam.sim.types import View
+from jaxcam.training.digests import describe, flatten
 
 VIDEO_PIXELS = 160
 VIDEO_STRIDE = 2
@@ -42,6 +46,11 @@ class Candidate:
     params: Any
     folder: Path
     step: int
+
+    @functools.cached_property
+    def weights_sha(self) -> str:
+        """Digest of the parameters, which ties rows to them."""
+        return weights_digest({name: describe(x) for name, x in flatten(self.params).items()})
 
 
 class Evaluator:
@@ -130,7 +139,7 @@ class Evaluator:
             Row(
                 task=config.task,
                 scene=config.scene,
-                run=candidate.folder.name,
+                run=absolute(candidate.folder).name,
                 policy=config.policy,
                 conditioning=config.conditioning,
                 seed=config.seed,
@@ -138,8 +147,9 @@ class Evaluator:
                 split=split,
                 pair=pair,
                 pair_sha=digests[i],
-                success=bool(done.success[i]),
-                status="ok" if done.ok[i] else "error",
+                weights_sha=candidate.weights_sha,
+                success=success,
+                status=status,
                 steps=int(done.steps[i]),
                 azimuth_deg=float(np.rad2deg(azimuth[i])),
                 elevation_deg=float(np.rad2deg(elevation[i])),
@@ -152,6 +162,7 @@ class Evaluator:
                 episode_seed=chosen.seeds[i],
             )
             for i, pair in enumerate(pairs)
+            for status, success in [_outcome(done, i)]
         ]
 
     def _acting(self, policy: Policy, params: Any) -> Partial:
@@ -210,3 +221,10 @@ class Acting:
         if self.mesh:
             obs = spread(self.mesh, obs)
         return jax.jit(self.act)(params, obs, jax.random.fold_in(root, number))
+
+
+def _outcome(done: Rollouts, i: int) -> tuple[Status, bool | None]:
+    """How a rollout ended, and its outcome; none where the simulator failed under a good policy."""
+    if done.acted[i] and not done.ok[i]:
+        return "simulator", None
+    return ("ok" if done.acted[i] else "policy"), bool(done.success[i])

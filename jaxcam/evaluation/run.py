@@ -21,7 +21,7 @@ from jaxcam.reports.run_page import write_report
 from jaxcam.results.protocol import missing, protocol_of
 from jaxcam.results.stats import latest_rows, success_rate
 from jaxcam.runs.metrics import read_metrics
-from jaxcam.runs.rollouts import read_rows, rows_file
+from jaxcam.runs.rollouts import read_run_rows
 from jaxcam.training.checkpoint import checkpoint_steps, load_policy_inputs, rebuild_policy
 
 
@@ -42,7 +42,7 @@ def evaluate_run(config: EvaluateConfig, folder: Path, console: Console | None) 
         steps, lacking = steps_to_judge(folder, inputs.config)
     policy = rebuild_policy(inputs)
     evaluator = Evaluator(inputs.config, config.width, config.engine, config.ensemble)
-    rows = read_rows(rows_file(folder))
+    rows = read_run_rows(folder)
     wanted = Wanted(config.split, config.pairs)
     open_steps = [s for s in steps if missing(rows_of(rows, evaluator, s, wanted), config.pairs)]
     for step in gathered(open_steps)[0]:
@@ -67,7 +67,7 @@ def _conclude(
     """Draws, writes the run's report and tells the result."""
     rows = [
         r
-        for r in latest_rows(read_rows(rows_file(folder)))
+        for r in latest_rows(read_run_rows(folder))
         if r.step in steps and r.split == config.split and r.pair < config.pairs
     ]
     write_plots(folder / "plots", read_metrics(folder), rows)
@@ -78,8 +78,9 @@ def _conclude(
             f"{folder.name}: success on {config.pairs} {config.split} pairs at {what}: "
             f"{success_rate(rows)}",
             soft_wrap=True,
+            markup=False,
         )
-        console.print(f"Report: {report}", soft_wrap=True)
+        console.print(f"Report: {report}", soft_wrap=True, markup=False)
 
 
 def steps_to_judge(folder: Path, trained: TrainConfig) -> tuple[list[int], list[str]]:

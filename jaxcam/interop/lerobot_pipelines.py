@@ -107,7 +107,7 @@ def read_scaling(folder: Path, name: str) -> Scaling:
     if len(scaling) != 1:
         raise CheckpointError(f"{path} has {len(scaling)} steps '{wanted}', not one.")
     settings, file = scaling[0].get("config") or {}, scaling[0].get("state_file")
-    if file and not (folder / file).is_file():
+    if file and (Path(file).name != file or not (folder / file).is_file()):
         raise CheckpointError(f"{folder} has no file of statistics '{file}'.")
     arrays = safetensors_numpy().load_file(folder / file) if file else {}
     kinds = {k: f["type"] for k, f in settings.get("features", {}).items()}

@@ -12,30 +12,23 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.files.jsonl import line_of, read_jsonl
 from jaxcam.files.locks import exclusive
 from jaxcam.files.paths import absolute
 from jaxcam.files.whole import write_atomically
+from jaxcam.reports.records import NAMED, NOT_RECORDED, read_records
+from jaxcam.results.differences import PairedDifference, paired_difference
 from jaxcam.results.protocol import Protocol, counted, lacks, protocol_of
 from jaxcam.results.rows import USUAL_WAY, Row
-from jaxcam.results.stats import (
-    Estimate,
-    PairedDifference,
-    latest_rows,
-    paired_difference,
-    success_rate,
-)
+from jaxcam.results.stats import Estimate, latest_rows, success_rate
 from jaxcam.runs.identity import Settings, changes, identity, plain, read_config
 from jaxcam.runs.manifests import sides
 from jaxcam.runs.metrics import read_metrics
-from jaxcam.runs.rollouts import read_rows, rows_file
+from jaxcam.runs.rollouts import read_rows, read_run_rows
 
-_SHARED = ("task", "scene", "policy", "conditioning")
-
-_KEPT = ("step", "split", "pair", "pair_sha", "success", "status", "steps", "azimuth_deg",
-         "elevation_deg", "distance", "renderer", "width")  # fmt: skip
+_KEPT = ("step", "split", "pair", "pair_sha", "weights_sha", "success", "status", "steps",
+         "azimuth_deg", "elevation_deg", "distance", "renderer", "width")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -154,7 +147,7 @@ def read_runs(paths: Iterable[str | Path], split: str = "test") -> list[Run]:
             )
         for folder in folders:
             for run in _read(folder, split):
-                key = json.dumps([run.settings, run.seed], sort_keys=True)
+                key = _key(run)
                 runs[key] = _merge(runs[key], run) if key in runs else run
     _check_pairs(runs.values())
     return list(runs.values())
@@ -174,9 +167,13 @@ def write_results(folder: Path, runs: Sequence[Run]) -> None:
     Args:
         folder: Where they go; what is there is replaced.
         runs: The runs; those without rows are left out.
+
+    Raises:
+        ConfigError: The folder has rows that are not among these.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     runs = [run for run in runs if run.rows]
+    check_replaces(folder, runs)
+    folder.mkdir(parents=True, exist_ok=True)
     records = [
         {"run": i, "name": run.name, "seed": run.seed, "seconds": round(run.seconds), "settings":
          run.settings} for i, run in enumerate(runs)
@@ -185,6 +182,50 @@ def write_results(folder: Path, runs: Sequence[Run]) -> None:
     with exclusive(folder / "rows.jsonl"):  # a row's number is that of its run in the other file
         write_atomically(folder / "rows.jsonl", "".join(map(line_of, rows)))
         write_atomically(folder / "runs.json", json.dumps(records, indent=1) + "\n")
+
+
+def check_replaces(folder: Path, runs: Sequence[Run]) -> None:
+    """Refuses a folder whose rows would be lost if a report of these runs were written there.
+
+    Args:
+        folder: Where a report is to go.
+        runs: What it is of.
+
+    Raises:
+        ConfigError: It is a run's folder, or has rows that are not among these runs'.
+    """
+    if (folder / "config.json").exists():
+        raise ConfigError(f"{folder} is the folder of a run. Choose another --out.")
+    if not (folder / "rows.jsonl").exists():
+        return
+    if not (folder / "runs.json").exists():
+        raise ConfigError(
+            f"{folder / 'rows.jsonl'} was not written by this command, which would replace it. "
+            "Choose another --out."
+        )
+    # Settings that are newer than the report are not in it: the name and the seed do, too.
+    new = {key: len(run.rows) for run in runs for key in (_key(run), (run.name, run.seed))}
+    kept = [run for split in ("test", "validation") for run in read_results(folder, split)]
+    same = {row.split for run in runs for row in run.rows}
+    lost = [
+        run.name
+        for run in kept
+        if run.rows
+        and (
+            run.rows[0].split not in same
+            or max(new.get(_key(run), 0), new.get((run.name, run.seed), 0)) < len(run.rows)
+        )
+    ]
+    if lost:
+        raise ConfigError(
+            f"{folder} has rollouts of {len(lost)} runs that would be lost, such as {lost[0]}: "
+            f"they are not among those given. Give {folder} too, or choose another --out."
+        )
+
+
+def _key(run: Run) -> str:
+    """What a run is known by: its settings and its seed."""
+    return json.dumps([run.settings, run.seed], sort_keys=True)
 
 
 def training_seconds(metrics: Sequence[Mapping[str, Any]]) -> float:
@@ -219,13 +260,13 @@ def _read(folder: Path, split: str) -> list[Run]:
     if (folder / "config.json").is_file():
         return [_read_run(folder, split)]
     if (folder / "runs.json").is_file():
-        return _read_results(folder, split)
+        return read_results(folder, split)
     return _read_rows(folder, split)
 
 
 def _read_run(folder: Path, split: str) -> Run:
     config = read_config(folder)
-    rows = [row for row in latest_rows(read_rows(rows_file(folder))) if row.split == split]
+    rows = [row for row in latest_rows(read_run_rows(folder)) if row.split == split]
     settings = identity(config) | _ways(rows)
     if config.weights:
         settings["weights"] = _kind_of_weights(folder, config.weights)
@@ -235,26 +276,40 @@ def _read_run(folder: Path, split: str) -> Run:
     return Run(folder.name, folder, settings, config.seed, rows, seconds)
 
 
-def _read_results(folder: Path, split: str) -> list[Run]:
-    """The runs of a folder that `write_results` made: its rows have the number of their run."""
-    lines: dict[Any, list[tuple[str, Settings]]] = {}
+def read_results(folder: Path, split: str) -> list[Run]:
+    """The runs of a folder that `write_results` made: its rows have the number of their run.
+
+    Args:
+        folder: Of the results.
+        split: Which pairs: "test" or "validation".
+
+    Raises:
+        DatasetError: One of its files is damaged.
+    """
+    lines: dict[int, list[tuple[str, Settings]]] = {}
     for number, line in enumerate(read_jsonl(folder / "rows.jsonl"), start=1):
         where = f"{folder / 'rows.jsonl'}, line {number}"
-        if not isinstance(line, dict) or "run" not in line:
+        if not isinstance(line, dict) or not isinstance(line.get("run"), int):
             raise DatasetError(f"{where}: expected a rollout with the number of its run.")
         lines.setdefault(line["run"], []).append((where, line))
+    records = read_records(folder / "runs.json")
+    if strange := lines.keys() - {record.run for record in records}:
+        raise DatasetError(
+            f"{folder / 'rows.jsonl'} has rows of run {min(strange)}, of which runs.json says "
+            "nothing: the two files are not of one report."
+        )
     runs = []
-    for record in json.loads((folder / "runs.json").read_text("utf-8")):
-        settings, seed = TrainConfig.completed(record["settings"]), record["seed"]
-        shared = {name: settings.get(name) for name in _SHARED}
-        shared |= {"run": record["name"], "seed": seed}
+    for record in records:
+        shared = {name: record.settings.get(name) for name in NAMED}
+        shared |= {"run": record.name, "seed": record.seed}
         # Where a run was evaluated in several ways, the settings list them all.
-        shared |= {k: v for k, v in settings.items() if k in USUAL_WAY and not isinstance(v, list)}
+        shared |= {k: v for k, v in record.settings.items()
+                   if k in USUAL_WAY and not isinstance(v, list)}  # fmt: skip
         rows = latest_rows(
-            Row.from_json(line | shared, where) for where, line in lines.get(record["run"], [])
+            Row.from_json(line | shared, where) for where, line in lines.get(record.run, [])
         )
         rows = [row for row in rows if row.split == split]
-        runs.append(Run(record["name"], None, settings, seed, rows, record["seconds"]))
+        runs.append(Run(record.name, None, record.settings, record.seed, rows, record.seconds))
     return runs
 
 
@@ -263,10 +318,11 @@ def _read_rows(folder: Path, split: str) -> list[Run]:
     runs: dict[tuple[Any, ...], list[Row]] = {}
     for row in latest_rows(read_rows(folder / "rows.jsonl")):
         if row.split == split:
-            key = tuple(getattr(row, name) for name in (*_SHARED, "seed", "run"))
+            key = tuple(getattr(row, name) for name in (*NAMED, "seed", "run"))
             runs.setdefault(key, []).append(row)
     return [
-        Run(name or folder.name, None, dict(zip(_SHARED, shared, strict=True)) | _ways(rows),
+        Run(name or folder.name, None,
+            {k: v or NOT_RECORDED for k, v in zip(NAMED, shared, strict=True)} | _ways(rows),
             seed, rows)
         for (*shared, seed, name), rows in runs.items()
     ]  # fmt: skip

@@ -16,7 +16,7 @@ from jaxcam.errors import ConfigError
 from jaxcam.files.paths import absolute
 from jaxcam.files.whole import check_free, write_atomically
 from jaxcam.reports import paper
-from jaxcam.reports.arms import Arm, Run, group, read_runs, write_results
+from jaxcam.reports.arms import Arm, Run, check_replaces, group, read_runs, write_results
 from jaxcam.reports.camera_figures import rate_by_camera
 from jaxcam.reports.document import (
     Block,
@@ -29,7 +29,9 @@ from jaxcam.reports.document import (
     to_latex,
     to_markdown,
 )
-from jaxcam.reports.studies import CONDITIONINGS, STUDIES, arms_of, names, panels
+from jaxcam.reports.html import own_files
+from jaxcam.reports.names import file_name, plain_line
+from jaxcam.reports.studies import STUDIES, arms_of, names, panels, place
 from jaxcam.reports.study_figures import bars, curves, maps, rates_and_gains
 from jaxcam.reports.style import save
 from jaxcam.reports.tables import (
@@ -59,7 +61,11 @@ def write_comparison(runs: Sequence[Run], out: Path, split: str = "test") -> Pat
 
     Returns:
         Path of the page.
+
+    Raises:
+        ConfigError: The folder has rows that would be lost.
     """
+    check_replaces(out, runs)
     out.mkdir(parents=True, exist_ok=True)
     arms = [arm for arm in group(runs) if arm.estimate.n or arm.estimate.excluded]
     blocks = [*_about(arms), *_main(arms, out), *_studies(arms, out), *_maps(arms, out)]
@@ -98,8 +104,14 @@ def _about(arms: Sequence[Arm]) -> list[Block]:
         )
     if excluded := sum(arm.estimate.excluded for arm in arms):
         blocks.append(
-            Text(f"Rollouts that did not finish and count in no rate: {excluded}.", warns=True)
+            Text(
+                f"Rollouts that did not finish and count in no rate: {excluded}.",
+                warns=True,
+            )
         )
+    if broken := sum(arm.estimate.broken for arm in arms):
+        words = f"Rollouts in which the policy gave no actions, which count as failures: {broken}."
+        blocks.append(Text(words, warns=True))
     return blocks
 
 
@@ -153,9 +165,9 @@ def _by_conditioning(arms: Sequence[Arm]) -> dict[str, list[Arm]]:
             groups[context(arm, "conditioning")].append(arm)
     named: dict[str, list[Arm]] = {}
     for some in groups.values():
-        some = sorted(some, key=lambda a: -CONDITIONINGS.index(a.settings["conditioning"]))
+        some = sorted(some, key=lambda a: -place(a))
         s = some[0].settings
-        name = f"{s['task']}-{s['policy']}"
+        name = file_name(f"{s['task']}-{s['policy']}")
         count = sum(known.startswith(name) for known in named)
         named[f"{name}-{count + 1}" if count else name] = some
     return named
@@ -171,8 +183,7 @@ def _videos(runs: Sequence[Run], out: Path) -> Mapping[str, list[Link]]:
     """Links to the videos of failures, which stay in the runs' folders."""
     links: dict[str, list[Link]] = {}
     for run in runs:
-        folder = run.folder / "videos" if run.folder else None
-        files = sorted(folder.glob("failures-*.mp4"))[::-1] if folder else []
+        files = own_files(run.folder / "videos", "failures-*.mp4")[::-1] if run.folder else []
         links[run.name] = [Link(file.name, _relative(file, out)) for file in files]
     return links
 
@@ -181,15 +192,14 @@ def _relative(file: Path, folder: Path) -> str:
     return Path(os.path.relpath(file, folder)).as_posix()
 
 
-def _check_out(out: Path, runs: Sequence[Path]) -> None:
-    """Refuses a folder that is read, or that has files of ours' names which we did not write."""
+def _check_out(out: Path) -> None:
+    """Refuses a folder that has files of ours' names which we did not write."""
     if out.exists() and not out.is_dir():
         raise ConfigError(f"{out} is there, and is no folder. Choose another --out.")
-    if any(out.exists() and run.exists() and out.samefile(run) for run in runs):
-        raise ConfigError(f"{out} is read here, so it is not written. Choose another --out.")
     page = out / "report.html"
     check_free(page)
-    if page.exists() and not (out / "config.json").exists():
+    ours = page.exists() or (out / "runs.json").exists()
+    if ours and not (out / "config.json").exists():
         return  # a report of ours, with all that is beside it
     if there := [name for name in (*WRITTEN, "config.json") if (out / name).exists()]:
         raise ConfigError(
@@ -199,13 +209,16 @@ def _check_out(out: Path, runs: Sequence[Path]) -> None:
 
 def main(config: ReportConfig, console: Console) -> None:
     """Runs the command."""
+    if not config.runs:
+        raise ConfigError("No runs are named. Give the folders of runs, or of reports.")
     out = absolute(config.out)
-    _check_out(out, [absolute(run) for run in config.runs])
+    _check_out(out)
     runs = read_runs(config.runs, config.split)
     written = write_comparison(runs, out, config.split)
     for arm in group(runs):
         s = arm.settings
         name = " ".join(str(s[k]) for k in ("policy", "task", "scene", "conditioning"))
         whole = f" [{', '.join(arm.lacks)}]" if arm.lacks else ""
-        console.print(f"{name}, {arm.label()}: {arm.estimate}{whole}", markup=False, soft_wrap=True)
+        line = plain_line(f"{name}, {arm.label()}: {arm.estimate}{whole}")
+        console.print(line, markup=False, soft_wrap=True)
     console.print(f"Report: {written}", markup=False, soft_wrap=True)

@@ -1,12 +1,12 @@
 """A report's content once, written as Markdown, LaTeX and HTML."""
 
 import itertools
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from jaxcam.reports.html import embedded, render
+from jaxcam.reports.names import address, latex, markdown, markdown_cell
 
 
 @dataclass(frozen=True)
@@ -87,15 +87,17 @@ def to_markdown(document: Document) -> str:
     for block in document.blocks:
         match block:
             case Heading():
-                parts.append(f"## {block.text}")
+                parts.append(f"## {markdown(block.text)}")
             case Text():
-                parts.append(f"**{block.text}**" if block.warns else block.text)
+                text = markdown(block.text)
+                parts.append(f"**{text}**" if block.warns else text)
             case Picture():
-                parts.append(f"![{Path(block.path).stem}]({block.path})\n\n{block.caption}")
+                shown = f"![{Path(block.path).stem}]({address(block.path)})"
+                parts.append(f"{shown}\n\n{markdown(block.caption)}")
             case Table():
                 lines = [block.head, ["---"] * len(block.head), *block.rows]
                 body = "\n".join(f"| {' | '.join(map(_markdown, line))} |" for line in lines)
-                parts.append(f"{block.caption}\n\n{body}")
+                parts.append(f"{markdown(block.caption)}\n\n{body}")
     return "\n\n".join(parts) + "\n"
 
 
@@ -157,17 +159,9 @@ def _latex_table(table: Table) -> str:
 
 def _markdown(cell: str | Link) -> str:
     if isinstance(cell, Link):
-        return f"[{_markdown(cell.text)}]({cell.href.replace(' ', '%20')})"
-    return re.sub(r"([|*_<])", r"\\\1", cell).replace("\n", "<br>")
-
-
-_LATEX = {"\\": r"\textbackslash{}", "–": "--", "×": r"$\times$", "≥": r"$\geq$", "<": "$<$",
-          ">": "$>$", "−": "$-$", "’": "'", "~": r"\textasciitilde{}",
-          "^": r"\textasciicircum{}"} | {c: f"\\{c}" for c in "&%$#_{}"}  # fmt: skip
-_LATEX["["] = "{[}"  # after a line's end it would begin an option
+        return f"[{markdown_cell(cell.text)}]({address(cell.href)})"
+    return markdown_cell(cell)
 
 
 def _latex(cell: str | Link) -> str:
-    text = cell.text if isinstance(cell, Link) else cell
-    lines = ["".join(_LATEX.get(c, c) for c in line) for line in text.split("\n")]
-    return lines[0] if len(lines) == 1 else r"\shortstack[l]{" + r" \\ ".join(lines) + "}"
+    return latex(cell.text if isinstance(cell, Link) else cell)

@@ -13,6 +13,7 @@ from typing import Any
 import jinja2
 
 import jaxcam
+from jaxcam.reports.names import address
 
 _WIDEST = 980
 """Pixels of a browser that a picture takes at most."""
@@ -33,6 +34,18 @@ class Embedded:
     caption: str
     pixels: int
     wide: bool
+
+
+def own_files(folder: Path, pattern: str) -> list[Path]:
+    """Files of a folder in order, without links: those show what lies elsewhere.
+
+    Args:
+        folder: Where.
+        pattern: Of their names.
+    """
+    if folder.is_symlink():
+        return []
+    return sorted(f for f in folder.glob(pattern) if f.is_file() and not f.is_symlink())
 
 
 def embedded(file: Path, caption: str, *, wide: bool) -> Embedded:
@@ -68,10 +81,12 @@ def render(template: str, title: str, subtitle: str, **content: Any) -> str:
 
 @functools.cache
 def _templates() -> jinja2.Environment:
-    return jinja2.Environment(
+    templates = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).with_name("templates")),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    templates.filters["address"] = address
+    return templates

@@ -11,16 +11,15 @@ from typing import Any
 
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
-from jaxcam.files.paths import inside
 from jaxcam.files.whole import write_atomically
 from jaxcam.reports import paper
 from jaxcam.reports.arms import training_seconds
-from jaxcam.reports.html import Embedded, embedded, render
+from jaxcam.reports.html import Embedded, embedded, own_files, render
 from jaxcam.results.rows import Row
 from jaxcam.results.stats import Estimate, by_field, latest_rows, success_rate
 from jaxcam.runs.identity import differences, plain, read_config, resolve
 from jaxcam.runs.metrics import read_metrics
-from jaxcam.runs.rollouts import read_rows, rows_file
+from jaxcam.runs.rollouts import read_run_rows
 
 Metrics = Sequence[Mapping[str, Any]]
 
@@ -56,7 +55,7 @@ def write_report(run_dir: str | Path) -> Path:
     config = read_config(run)
     metrics = read_metrics(run)
     # Rows of validation pairs serve to choose settings; they are no result.
-    rows = [row for row in latest_rows(read_rows(rows_file(run))) if row.split == "test"]
+    rows = [row for row in latest_rows(read_run_rows(run)) if row.split == "test"]
     newest = max((row.step for row in rows), default=0)
     shown = [row for row in rows if row.step == newest]
     content = render(
@@ -125,9 +124,8 @@ def _facts(config: TrainConfig, metrics: Metrics, rows: Sequence[Row], step: int
 def _figures(folder: Path) -> list[Embedded]:
     """All PNG files of a folder of a run, those we know first, without links out of the run."""
     known = list(_PLOTS)
-    own = (f for f in folder.glob("*.png") if f.is_file() and inside(f, folder.parent))
     files = sorted(
-        own,
+        own_files(folder, "*.png"),
         key=lambda f: (known.index(f.stem) if f.stem in _PLOTS else len(known), f.name),
     )
     return [
@@ -142,23 +140,30 @@ def _figures(folder: Path) -> list[Embedded]:
 
 def _videos(run: Path) -> list[str]:
     """Videos, which stay files of their own, relative to the page."""
-    files = sorted(file for name in ("videos", "eval") for file in (run / name).glob("*.mp4"))
+    files = sorted(file for name in ("videos", "eval") for file in own_files(run / name, "*.mp4"))
     return [file.relative_to(run).as_posix() for file in files]
 
 
 def _rollouts(rows: Sequence[Row]) -> list[tuple[str | int, ...]]:
     """A line for each rollout."""
-    outcome = {True: "success", False: "failure"}
     return [
         (
-            row.pair, "" if row.seed is None else row.seed,
-            outcome[bool(row.success)] if row.finished else "did not finish",
+            row.pair, "" if row.seed is None else row.seed, _outcome(row),
             "" if row.steps is None else row.steps, _degrees(row.azimuth_deg),
             _degrees(row.elevation_deg),
             "" if row.distance is None else f"{row.distance:.2f} m",
         )
         for row in sorted(rows, key=lambda row: (row.pair, row.seed or 0))
     ]  # fmt: skip
+
+
+def _outcome(row: Row) -> str:
+    """How a rollout ended, in words."""
+    if not row.finished:
+        return "did not finish"
+    if row.status == "policy":
+        return "failure: no actions"
+    return "success" if row.success else "failure"
 
 
 def _checkpoints(rows: Sequence[Row]) -> list[tuple[str, Estimate]]:
@@ -178,9 +183,8 @@ def _commands(run_dir: str | Path, config: TrainConfig) -> list[list[str]]:
 
 def _environment(file: Path) -> str:
     """Versions and devices."""
-    if not file.is_file() or not inside(file, file.parent):
-        return ""
-    return file.read_text("utf-8", errors="replace").strip()
+    own = own_files(file.parent, file.name)
+    return own[0].read_text("utf-8", errors="replace").strip() if own else ""
 
 
 def _degrees(value: float | None) -> str:

@@ -97,8 +97,14 @@ def arms_of(shown: Sequence[Panel]) -> list[Arm]:
 def names(study: Study, arms: Sequence[Arm]) -> dict[Any, str]:
     """The values that arms have of a study's setting, in its order, with their names."""
     there = {arm.settings[study.field] for arm in arms}
-    others = sorted(there - set(study.names))
+    others = sorted(there - set(study.names), key=_number_or_text)
     return {v: study.names.get(v, str(v)) for v in (*study.names, *others) if v in there}
+
+
+def _number_or_text(value: Any) -> tuple[float, str]:
+    """Numbers in order, then everything else."""
+    is_number = isinstance(value, int | float)
+    return (float(value) if is_number else float("inf"), str(value))
 
 
 def _compared(study: Study, arms: Sequence[Arm]) -> list[Arm]:
@@ -112,7 +118,13 @@ def _compared(study: Study, arms: Sequence[Arm]) -> list[Arm]:
 
 
 def _in_order(arms: Sequence[Arm]) -> list[Arm]:
-    return sorted(arms, key=lambda a: CONDITIONINGS.index(a.settings["conditioning"]))
+    return sorted(arms, key=place)
+
+
+def place(arm: Arm) -> int:
+    """Where an arm's conditioning stands in the order of figures; those of others come last."""
+    way = arm.settings["conditioning"]
+    return CONDITIONINGS.index(way) if way in CONDITIONINGS else len(CONDITIONINGS)
 
 
 def _title(study: Study, arm: Arm) -> str:

@@ -18,6 +18,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from jaxcam.reports.arms import Arm
 from jaxcam.reports.camera_figures import angle_ticks, draw_cameras, rate_by_camera
+from jaxcam.reports.names import drawn
 from jaxcam.reports.paper import policy_title, task_title
 from jaxcam.reports.studies import CONDITIONINGS, Panel, arms_of
 from jaxcam.reports.style import (
@@ -37,7 +38,14 @@ from jaxcam.results.stats import p_text
 COLOURS = {"none": "#7A828C", "token": "#CC79A7", "early": "#E69F00", "late": "#0072B2",
            "keypoints": "#009E73"}  # fmt: skip
 _NAMES = {"none": "image only"}
+_OTHER = "#D55E00"
+"""Of a conditioning that is not ours, in rows that somebody else wrote."""
 _COLUMNS = 3
+
+
+def colour_of(arm: Arm) -> str:
+    """The colour of an arm's conditioning."""
+    return COLOURS.get(arm.settings["conditioning"], _OTHER)
 
 
 @styled
@@ -67,7 +75,8 @@ def bars(shown: Sequence[Panel], names: Mapping[Any, str]) -> Figure:
         axes.set(ylim=(0, 1), xlim=(-0.8, place - 0.8))
         _title(axes, panel.title)
         long = sum(len(names[value]) for value in panel.arms) > 6 * place
-        axes.set_xticks(ticks, [names[value] for value in panel.arms], rotation=20 if long else 0,
+        labels = [drawn(names[value]) for value in panel.arms]
+        axes.set_xticks(ticks, labels, rotation=20 if long else 0,
                         ha="right" if long else "center")  # fmt: skip
         _rates(axes)
     _legend(figure, arms_of(shown), Patch)
@@ -108,7 +117,7 @@ def rates_and_gains(twins: Sequence[tuple[Arm, Arm]]) -> Figure:
     """
     figure, (left, right) = side_by_side((9.6, 1.3 + 0.42 * len(twins)), columns=2, share_y=True)
     for y, (arm, twin) in enumerate(twins):
-        colour = COLOURS[arm.settings["conditioning"]]
+        colour = colour_of(arm)
         for one, shade, height in ((twin, COLOURS["none"], y + 0.15), (arm, colour, y - 0.15)):
             e = one.estimate
             interval(left, height, (e.value, e.low, e.high), shade, hollow=bool(one.lacks))
@@ -140,7 +149,8 @@ def maps(arms: Sequence[Arm]) -> Figure:
         draw_cameras(axes, rate_by_camera(arm.rows), across, up, scale=0.5)
         way = arm.settings["conditioning"]
         e = arm.estimate
-        axes.set_title(f"{_NAMES.get(way, way)}: {100 * e.value:.1f} %, n = {arm.count()}")
+        name = drawn(_NAMES.get(way) or str(way))
+        axes.set_title(f"{name}: {100 * e.value:.1f} %, n = {arm.count()}")
         axes.set(xlabel="azimuth (degrees)", ylabel="elevation (degrees)")
     bar = figure.colorbar(
         ScalarMappable(Normalize(0, 1), RATE), ax=grid, alpha=0.55, ticks=[0, 0.5, 1],
@@ -176,7 +186,7 @@ def _curve(axes: Axes, arms: Mapping[Any, Arm], way: str) -> None:
 
 
 def _bar(axes: Axes, x: float, arm: Arm) -> None:
-    e, colour = arm.estimate, COLOURS[arm.settings["conditioning"]]
+    e, colour = arm.estimate, colour_of(arm)
     axes.bar(x, e.value, 0.86, color=colour, alpha=0.55 if arm.lacks else 1.0,
              hatch="///" if arm.lacks else None, edgecolor="white", linewidth=0)  # fmt: skip
     axes.plot([x, x], [e.low, e.high], color=INK, linewidth=1.4)
@@ -198,8 +208,8 @@ def _diamond(axes: Axes, x: float, y: float) -> None:
 
 def _title(axes: Axes, title: str) -> None:
     """The first line large, what is particular below it."""
-    first, _, rest = title.partition("\n")
-    below = textwrap.fill(rest, 34)
+    first, _, rest = drawn(title).partition("\n")
+    below = textwrap.fill(rest, 34, break_long_words=False)
     axes.set_title(first, pad=8 + 10 * (1 + below.count("\n")))
     axes.text(0, 1.03, below, transform=axes.transAxes, color=GREY, fontsize=8, va="bottom")
 
@@ -208,7 +218,7 @@ def _twin_name(arm: Arm) -> str:
     s = arm.settings
     label = arm.label("views", "n", "m").removeprefix("paper preset").removeprefix(", ")
     words = filter(None, [policy_title(s["policy"]), task_title(s["task"]), label])
-    return textwrap.fill(", ".join(words), 32)
+    return textwrap.fill(drawn(", ".join(words)), 32, break_long_words=False)
 
 
 def _rates(axes: Axes) -> None:

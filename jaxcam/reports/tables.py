@@ -12,10 +12,13 @@ from typing import Any
 from jaxcam.reports import paper
 from jaxcam.reports.arms import Arm, Run
 from jaxcam.reports.document import Link, Table
-from jaxcam.results.stats import PairedDifference, by_field, p_text
+from jaxcam.reports.names import csv_cell
+from jaxcam.results.differences import PairedDifference
+from jaxcam.results.stats import by_field, p_text
 from jaxcam.runs.identity import plain
 
 NONE = "–"
+_NOTHING = (math.nan, math.nan)
 # Settings that a task brings with it, so that they differ between the columns of Table I.
 _OF_TASK = ("n", "m", "views", "steps")
 
@@ -66,8 +69,9 @@ def table_one(arms: Sequence[Arm]) -> Table:
     caption = (
         "Success in percent with and without camera conditioning (Table I of the paper). In "
         "parentheses the gain over the image-only policy, in brackets the 95 % interval from a "
-        "bootstrap over pairs, n the rollouts. Ours have the conditioning of the paper, and those "
-        "it does not have."
+        "bootstrap over pairs, n the rollouts. Where there are several seeds, the rates of the "
+        "least and the best of them, and from three on an interval over new pairs and new seeds. "
+        "Ours have the conditioning of the paper, and those it does not have."
     )
     return Table(caption, ("Method", "Source", *titles), rows, rules)
 
@@ -87,7 +91,8 @@ def gains_table(arms: Sequence[Arm]) -> Table | None:
             "Rollouts")  # fmt: skip
     caption = (
         "Gain of camera conditioning in points: mean over the pairs that both policies were "
-        "evaluated on, with 95 % interval (bootstrap over pairs) and sign-flip permutation p-value."
+        "evaluated on, with 95 % interval over pairs and the p-value of the same test (Student's t "
+        "with two pairs added), and beside it what several seeds give."
     )
     return Table(caption, head, rows) if rows else None
 
@@ -113,7 +118,8 @@ def cells(arms: Sequence[Arm], field: str, order: Mapping[Any, str]) -> Table:
         rows.append([
             _task(arm) if field != "scene" else paper.task_title(s["task"]),
             arm.label(field), order[s[field]], *way,
-            _rate(e.value, e.low, e.high), arm.count(), _against(arm, twin), *others,
+            "\n".join([_rate(e.value, e.low, e.high), *e.of_seeds()]), arm.count(),
+            _against(arm, twin), *others,
         ])  # fmt: skip
     names = ["Conditioning"] if field != "conditioning" else []
     versus = [f"Against {order[first]}"] if field != "conditioning" else []
@@ -154,21 +160,25 @@ def to_csv(arms: Sequence[Arm]) -> str:
     out = io.StringIO()
     head = [*names, "seeds", "checkpoints", "rollouts", "asked", "lacks", "pairs", "excluded",
             "success", "low", "high", "paper", "gain", "gain_low", "gain_high", "p",
-            "gain_pairs"]  # fmt: skip
+            "gain_pairs", "without_actions", "least_seed", "most_seed", "low_over_seeds",
+            "high_over_seeds", "gain_low_over_seeds", "gain_high_over_seeds"]  # fmt: skip
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(head)
+    writer.writerow(map(csv_cell, head))
     for arm in arms:
         e, twin = arm.estimate, base.get(context(arm, "conditioning"))
         d = None if twin is None or twin is arm else arm.against(twin)
         settings = (arm.settings.get(name) for name in names)
         known = paper_value(arm)
         writer.writerow([
-            *("" if v is None else plain(v) for v in settings), len(arm.runs),
+            *("" if v is None else csv_cell(plain(v)) for v in settings), len(arm.runs),
             max((len(by_field(r.counted, "step")) for r in arm.runs), default=0), e.n,
             arm.runs[0].protocol.rollouts, "; ".join(arm.lacks), e.clusters, e.excluded,
             *map(_number, (e.value, e.low, e.high)), "" if known is None else f"{known / 100:.3f}",
             *(map(_number, (d.value, d.low, d.high, d.p_value)) if d else [""] * 4),
-            d.pairs if d else "",
+            d.pairs if d else "", e.broken,
+            *map(_number, (min(e.seeds), max(e.seeds)) if e.seeds else _NOTHING),
+            *map(_number, e.over_seeds or _NOTHING),
+            *map(_number, (d and d.over_seeds) or _NOTHING),
         ])  # fmt: skip
     return out.getvalue()
 
@@ -261,7 +271,7 @@ def _rate_cell(arm: Arm | None, base: Mapping[str, Arm]) -> str:
         delta = arm.against(twin)
         gain = f" ({100 * delta.value:+.1f})" if delta.pairs else ""
     interval = f"[{100 * e.low:.1f}, {100 * e.high:.1f}]"
-    return f"{100 * e.value:.1f}{gain}\n{interval}\nn = {arm.count()}"
+    return "\n".join([f"{100 * e.value:.1f}{gain}", interval, f"n = {arm.count()}", *e.of_seeds()])
 
 
 def _rate(value: float, low: float, high: float) -> str:
@@ -275,7 +285,8 @@ def _difference(delta: PairedDifference) -> list[str]:
         return [NONE, NONE, "0"]
     value, low, high = (100 * x for x in (delta.value, delta.low, delta.high))
     left_out = f" ({delta.unpaired} unpaired)" if delta.unpaired else ""
-    return [f"{value:+.1f} [{low:+.1f}, {high:+.1f}]", p_text(delta.p_value),
+    lines = [f"{value:+.1f} [{low:+.1f}, {high:+.1f}]", *delta.of_seeds()]
+    return ["\n".join(lines), p_text(delta.p_value),
             f"{delta.pairs}{left_out}"]  # fmt: skip
 
 
@@ -286,7 +297,8 @@ def _against(arm: Arm, other: Arm | None) -> str:
     if not delta.pairs:
         return "no shared pairs"
     gain, p_value, _ = _difference(delta)
-    return f"{gain}, p {p_value}"
+    first, *seeds = gain.split("\n")
+    return "\n".join([f"{first}, p {p_value}", *seeds])
 
 
 def _number(value: float) -> str:

@@ -4,11 +4,11 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from jaxcam.results.rows import Row
+from jaxcam.results.rows import OUTCOMES, Row
 from jaxcam.results.stats import by_field
 
 ATTEMPTS = 2
-"""Times that a pair is run whose rollout ends in an error of the physics or the policy."""
+"""Times that a pair is run whose rollout ends in an error of the simulator."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def missing(rows: Sequence[Row], pairs: int) -> list[int]:
         pairs: How many pairs there are.
     """
     tries = Counter(row.pair for row in rows)
-    done = {row.pair for row in rows if row.status == "ok"}
+    done = {row.pair for row in rows if row.status in OUTCOMES}
     return [p for p in range(pairs) if p not in done and tries[p] < ATTEMPTS]
 
 

@@ -7,8 +7,13 @@ from typing import Any, Literal, Self, cast, get_args
 
 from jaxcam.errors import DatasetError
 
-Status = Literal["ok", "error"]
-"""Whether a rollout ran to its end, or physics or policy failed on the way."""
+Status = Literal["ok", "policy", "simulator", "error"]
+"""How a rollout ended. "ok": at success or the horizon. "policy": the policy gave actions of
+another shape or that are no numbers, which is its failure and counts as one. "simulator": the
+physics failed, so there is no outcome. "error": one of these two, as rows of version 0.1.0 have it;
+it has no outcome, since nobody knows which."""
+OUTCOMES: tuple[Status, ...] = ("ok", "policy")
+"""With these a rollout has an outcome."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,8 +33,9 @@ class Row:
         split: Which pairs: "test" or "validation".
         pair: Number of the pair.
         pair_sha: Digest of the pair: runs are compared on the same ones only.
+        weights_sha: Digest of the weights that acted, see `jaxcam.runs.rollouts.weights_digest`.
         success: The outcome; None if there is none.
-        status: Whether the rollout ran to its end.
+        status: How the rollout ended.
         steps: Control steps to success, or until the episode was cut.
         azimuth_deg: Of the first camera about the middle of the task, in degrees.
         elevation_deg: Of the first camera, in degrees.
@@ -52,6 +58,7 @@ class Row:
     split: str = "test"
     pair: int
     pair_sha: str | None = None
+    weights_sha: str | None = None
     success: bool | None = None
     status: Status
     steps: int | None = None
@@ -67,8 +74,8 @@ class Row:
 
     @property
     def finished(self) -> bool:
-        """Whether the rollout ran to its end and has an outcome."""
-        return self.status == "ok" and self.success is not None
+        """Whether the rollout has an outcome, which counts."""
+        return self.status in OUTCOMES and self.success is not None
 
     @classmethod
     def from_json(cls, content: Any, where: str = "A row") -> Self:
@@ -97,7 +104,13 @@ class Row:
                 values[name] = value
             elif required:
                 raise DatasetError(f"{where}: {name} is missing, expected {expected}.")
-        return cls(**values)
+        for name, most in _MOST.items():
+            if abs(values.get(name) or 0.0) > most:
+                raise DatasetError(f"{where}: {name} is {values[name]!r}, expected at most {most}.")
+        row = cls(**values)
+        if row.success and row.status == "policy":
+            raise DatasetError(f"{where}: success is true, but status is {row.status!r}.")
+        return row
 
     def to_json(self, only: Iterable[str] | None = None) -> dict[str, Any]:
         """Names and values as they are written, without what is not known.
@@ -110,8 +123,12 @@ class Row:
         return {name: value for name, value in values if value is not None}
 
 
+_MOST = {"azimuth_deg": 360.0, "elevation_deg": 90.01}
+"""Limits of angles; figures have an axis for all of them."""
+
+
 def _is_count(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 2**63
 
 
 def _is_number(value: Any) -> bool:

@@ -1,19 +1,18 @@
-"""Success rates with honest intervals: Wilson, cluster bootstrap over pairs, paired differences.
+"""Success rates with honest intervals: Wilson, and a cluster bootstrap over pairs.
 
 A *pair* is one held-out (initial state, camera pose). Rollouts of several seeds or checkpoints on
-the same pair are not independent, so every interval resamples pairs, never single rollouts. It
-therefore speaks about new pairs of the same kind, not about seeds that were never trained. All
-functions are deterministic.
+the same pair are not independent, so an interval is over pairs, never over single rollouts. It
+speaks about new pairs of the same kind; what new seeds would give is said beside it: the rate of
+each seed, and from three seeds on an interval over both. All functions are deterministic.
 """
 
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import scipy.stats
-from numpy.typing import NDArray
 
 from jaxcam.results.rows import Row
 
@@ -21,9 +20,14 @@ LEVEL = 0.95
 """Of every interval."""
 _Z = float(scipy.stats.norm.ppf((1 + LEVEL) / 2))
 RESAMPLES = 10_000
-"""Resamples of an interval or a test: ends of intervals move by about 0.1 points between seeds."""
-_EXACT_FLIPS = 12  # pairs up to which all sign patterns are enumerated, not sampled
+"""Resamples of an interval: its ends move by about 0.1 points between seeds."""
+_FEW_SEEDS = 3
+"""Seeds from which on an interval speaks about new ones too."""
 _BLOCK = 2_000_000  # drawn indices held in memory at once
+
+
+PairOutcomes = Mapping[Hashable, Sequence[Row]]
+"""The rows that have an outcome, by their pair."""
 
 
 @dataclass(frozen=True)
@@ -32,11 +36,15 @@ class Estimate:
 
     Attributes:
         value: Share of successful rollouts (NaN without rollouts).
-        low: Lower end of the interval.
-        high: Upper end of the interval.
+        low: Lower end of the interval over pairs.
+        high: Upper end of the interval over pairs.
         n: Rollouts counted.
         clusters: Distinct pairs among them.
-        excluded: Rows left out because the rollout did not finish.
+        excluded: Rows left out because the simulator failed, or an older version did not say what.
+        broken: Rollouts counted as failures because the policy gave no actions.
+        seeds: The rate of each seed, where there are several.
+        over_seeds: The 95 % interval over new pairs and new seeds, where there are at least three
+            seeds; None otherwise.
     """
 
     value: float
@@ -45,44 +53,28 @@ class Estimate:
     n: int
     clusters: int
     excluded: int = 0
+    broken: int = 0
+    seeds: tuple[float, ...] = ()
+    over_seeds: tuple[float, float] | None = None
 
     def __str__(self) -> str:
         rate = f"{100 * self.value:.1f} % [{100 * self.low:.1f}, {100 * self.high:.1f}]"
         pairs = f" on {self.clusters} pairs" if self.clusters != self.n else ""
-        left_out = f", {self.excluded} excluded" if self.excluded else ""
-        return f"{rate if self.n else 'no finished rollouts'} (n = {self.n}{pairs}{left_out})"
-
-
-@dataclass(frozen=True)
-class PairedDifference:
-    """Success of arm A minus success of arm B on the pairs both were evaluated on, as a fraction.
-
-    Attributes:
-        value: Mean over pairs of (A's mean over seeds - B's mean over seeds); NaN without pairs.
-        low: Lower end of the 95 % interval.
-        high: Upper end of the 95 % interval.
-        p_value: Two-sided sign-flip permutation p-value of "no difference".
-        pairs: Shared pairs.
-        unpaired: Pairs only one arm has; they are left out.
-        excluded: Rows left out because the rollout did not finish.
-    """
-
-    value: float
-    low: float
-    high: float
-    p_value: float
-    pairs: int
-    unpaired: int = 0
-    excluded: int = 0
-
-    def __str__(self) -> str:
-        if not self.pairs:
-            return f"no shared pairs ({self.unpaired} unpaired, {self.excluded} excluded)"
-        value, low, high = (100 * x for x in (self.value, self.low, self.high))
-        notes = [f"p {p_text(self.p_value)}", f"{self.pairs} pairs"]
-        notes += [f"{self.unpaired} unpaired"] if self.unpaired else []
+        notes = [f"n = {self.n}{pairs}"]
+        notes += [f"{self.broken} without actions"] if self.broken else []
         notes += [f"{self.excluded} excluded"] if self.excluded else []
-        return f"{value:+.1f} points [{low:+.1f}, {high:+.1f}] ({', '.join(notes)})"
+        notes += self.of_seeds()
+        return f"{rate if self.n else 'no finished rollouts'} ({', '.join(notes)})"
+
+    def of_seeds(self) -> list[str]:
+        """The spread over seeds in words, and the interval over both; nothing with one seed."""
+        if not self.seeds:
+            return []
+        words = [f"seeds {100 * min(self.seeds):.1f} to {100 * max(self.seeds):.1f}"]
+        if self.over_seeds:
+            low, high = (100 * end for end in self.over_seeds)
+            words.append(f"over pairs and seeds [{low:.1f}, {high:.1f}]")
+        return words
 
 
 def wilson(successes: float, n: int) -> tuple[float, float]:
@@ -116,49 +108,68 @@ def success_rate(rows: Iterable[Row]) -> Estimate:
     of pairs of another kind that this many pairs can have missed; at 0 and 100 % that is Wilson's.
 
     Args:
-        rows: Evaluation rows. Those that did not finish are excluded and counted.
+        rows: Evaluation rows. Those without an outcome (the simulator failed) are excluded and
+            counted; where the policy gave no actions, that is a failure and counts as one.
 
     Returns:
         The estimate, over all rollouts pooled.
     """
-    groups, excluded = _by_pair(rows)
+    groups, excluded = by_pair(rows)
     if not groups:
         return Estimate(float("nan"), 0.0, 1.0, 0, 0, excluded)
-    sums = np.array([sum(outcomes) for outcomes in groups.values()], float)
-    sizes = np.array([len(outcomes) for outcomes in groups.values()], float)
-    low, high = _bootstrap(sums, sizes, 0.0, 1.0)
-    total = int(sizes.sum())
-    return Estimate(float(sums.sum() / total), low, high, total, len(groups), excluded)
+    sums = np.array([sum(bool(row.success) for row in some) for some in groups.values()], float)
+    sizes = np.array([len(some) for some in groups.values()], float)
+    low, high = _bootstrap(sums, sizes)
+    total, value = int(sizes.sum()), float(sums.sum() / sizes.sum())
+    seeds = [*by_seed(groups).values()]
+    # How far each pair moves the rate, which for pairs of one size is its own mean.
+    moved = value + (sums - value * sizes) / sizes.mean()
+    return Estimate(
+        value,
+        low,
+        high,
+        total,
+        len(groups),
+        excluded,
+        broken=sum(row.status == "policy" for some in groups.values() for row in some),
+        seeds=tuple(seeds) if len(seeds) > 1 else (),
+        over_seeds=with_seeds(value, moved, [seeds], (low, high), (0.0, 1.0)),
+    )
 
 
-def paired_difference(rows_a: Iterable[Row], rows_b: Iterable[Row]) -> PairedDifference:
-    """Compare two arms on the pairs they share.
+def with_seeds(
+    value: float,
+    of_pairs: np.ndarray,
+    of_seeds: Sequence[Sequence[float]],
+    alone: tuple[float, float],
+    limits: tuple[float, float],
+) -> tuple[float, float] | None:
+    """The interval over new pairs and new seeds: both variances add up.
 
-    Seeds are averaged inside each pair first, so that several seeds an arm do not count as more
-    pairs than there are. The interval is a bootstrap over pairs; the p-value flips the sign of each
-    pair's difference (all sign patterns where there are few pairs, random ones otherwise).
+    What pairs and seeds have in common is then counted twice, so it is rather too wide (Owen's
+    bootstrap of both sides has that variance). Degrees of freedom are Satterthwaite's.
 
     Args:
-        rows_a: Evaluation rows of arm A.
-        rows_b: Evaluation rows of arm B.
+        value: The estimate.
+        of_pairs: What each pair gives [N].
+        of_seeds: What each seed gives, for each arm.
+        alone: The interval over pairs alone, which it contains.
+        limits: What it cannot exceed.
 
     Returns:
-        The mean difference A - B with interval, p-value and what was left out.
+        Its ends; None where an arm has fewer than three seeds, or there is a single pair.
     """
-    (groups_a, excluded_a), (groups_b, excluded_b) = _by_pair(rows_a), _by_pair(rows_b)
-    shared = [pair for pair in groups_a if pair in groups_b]
-    unpaired = len(groups_a.keys() ^ groups_b.keys())
-    excluded = excluded_a + excluded_b
-    if not shared:
-        return PairedDifference(float("nan"), -1.0, 1.0, 1.0, 0, unpaired, excluded)
-    deltas = np.array([np.mean(groups_a[pair]) - np.mean(groups_b[pair]) for pair in shared])
-    # Pairs that were not drawn may differ as much as any that was; where none differs, by all.
-    least, most = (deltas.min(), deltas.max()) if np.ptp(deltas) else (-1.0, 1.0)
-    low, high = _bootstrap(deltas, np.ones_like(deltas), least, most)
-    p_value = _sign_flip_p(deltas)
-    return PairedDifference(
-        float(deltas.mean()), low, high, p_value, len(shared), unpaired, excluded
-    )
+    parts = [of_pairs, *(np.array(seeds) for seeds in of_seeds)]
+    if len(of_pairs) < 2 or any(len(part) < _FEW_SEEDS for part in parts[1:]):
+        return None
+    variances = [float(part.var(ddof=1)) / len(part) for part in parts]
+    total = sum(variances)
+    if not total:
+        return alone
+    shares = sum(v**2 / (len(part) - 1) for v, part in zip(variances, parts, strict=True))
+    half = float(scipy.stats.t.ppf((1 + LEVEL) / 2, total**2 / shares)) * total**0.5
+    low, high = min(value - half, alone[0]), max(value + half, alone[1])
+    return max(low, limits[0]), min(high, limits[1])
 
 
 def latest_rows(rows: Iterable[Row]) -> list[Row]:
@@ -203,26 +214,40 @@ def by_field(rows: Sequence[Row], name: str) -> dict[Any, list[Row]]:
     return groups
 
 
-def _by_pair(rows: Iterable[Row]) -> tuple[dict[Hashable, list[float]], int]:
-    """Outcomes of finished rollouts by pair, and how many rows were not finished."""
-    groups: dict[Hashable, list[float]] = {}
+def by_pair(rows: Iterable[Row]) -> tuple[dict[Hashable, list[Row]], int]:
+    """The rows that have an outcome by their pair, and how many have none.
+
+    Args:
+        rows: Evaluation rows.
+    """
+    groups: dict[Hashable, list[Row]] = {}
     excluded = 0
     for row in rows:
         if not row.finished:
             excluded += 1
             continue
         # Pair 3 of one task is not pair 3 of another.
-        key = (row.task, row.scene, row.split, row.pair)
-        groups.setdefault(key, []).append(float(row.success or 0))
+        groups.setdefault((row.task, row.scene, row.split, row.pair), []).append(row)
     return groups, excluded
 
 
-def _bootstrap(
-    sums: np.ndarray, sizes: np.ndarray, least: float, most: float
-) -> tuple[float, float]:
+def by_seed(groups: PairOutcomes) -> dict[int | None, float]:
+    """The success rate of each seed, in order.
+
+    Args:
+        groups: From `by_pair`.
+    """
+    outcomes: dict[int | None, list[bool]] = {}
+    for row in (row for some in groups.values() for row in some):
+        outcomes.setdefault(row.seed, []).append(bool(row.success))
+    order = sorted(outcomes, key=lambda seed: (seed is None, seed or 0))
+    return {seed: float(np.mean(outcomes[seed])) for seed in order}
+
+
+def _bootstrap(sums: np.ndarray, sizes: np.ndarray) -> tuple[float, float]:
     """Percentile interval of sum(sums) / sum(sizes), resampling clusters.
 
-    It allows for clusters of the values `least` and `most` that exist and have not been drawn.
+    It allows for clusters of nothing but failures, or successes, that have not been drawn.
     """
     count, value = len(sums), float(sums.sum() / sizes.sum())
     low = high = value
@@ -234,42 +259,11 @@ def _bootstrap(
         )  # fmt: skip
         low, high = map(float, drawn.confidence_interval)
     missed = wilson(0, count)[1]  # share of clusters that may exist and never have been drawn
-    worst, best = value - missed * (value - least), value + missed * (most - value)
-    return min(low, worst), max(high, best)
+    return min(low, value - missed * value), max(high, value + missed * (1 - value))
 
 
 def _pooled(sums: np.ndarray, sizes: np.ndarray, axis: int) -> np.ndarray:
     return sums.sum(axis) / sizes.sum(axis)
-
-
-def _sign_flip_p(deltas: np.ndarray) -> float:
-    """Two-sided p-value of a zero mean under random signs of the differences."""
-    moving = deltas[deltas != 0]  # a zero difference is the same under both signs
-    if len(moving) < 2:
-        return 1.0  # one difference is as large under both signs
-    rng = np.random.default_rng(0)
-    if len(moving) <= _EXACT_FLIPS:
-        patterns = scipy.stats.permutation_test(
-            (moving,),
-            _total,
-            permutation_type="samples",
-            vectorized=True,
-            n_resamples=2**_EXACT_FLIPS,
-        )
-        return float(patterns.pvalue)
-
-    def flipped(size: tuple[int, ...]) -> np.ndarray:
-        return moving * (1 - 2 * rng.integers(0, 2, size, dtype=np.int8))
-
-    drawn = scipy.stats.monte_carlo_test(
-        moving, flipped, _total, vectorized=True, n_resamples=RESAMPLES, batch=_batch(len(moving))
-    )
-    return float(drawn.pvalue)
-
-
-def _total(deltas: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
-    sums = cast(NDArray[np.float64], deltas.sum(axis))
-    return np.round(sums, 9)  # ties must count as ties in floating point
 
 
 def _batch(count: int) -> int:

@@ -1,9 +1,21 @@
-"""The rows of rollouts on disk: where a run has them, and how they are read."""
+"""The rows of rollouts on disk: where a run has them, how they are read, and whose they are."""
 
+import hashlib
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any, cast
 
+from jaxcam.config.train import TrainConfig
+from jaxcam.errors import DatasetError
 from jaxcam.files.jsonl import read_jsonl
+from jaxcam.files.paths import absolute
 from jaxcam.results.rows import Row
+from jaxcam.runs.identity import read_config
+
+_OF_RUN = ("task", "scene", "policy", "conditioning", "seed")
+"""What rows share with their run's settings."""
 
 
 def rows_file(run: Path) -> Path:
@@ -19,3 +31,127 @@ def read_rows(file: Path) -> list[Row]:
     """
     lines = read_jsonl(file)
     return [Row.from_json(x, f"{file}, line {number}") for number, x in enumerate(lines, start=1)]
+
+
+def read_run_rows(run: Path) -> list[Row]:
+    """The rows of a run's folder, each held against the run, with the name that it has now.
+
+    A folder may have been renamed, so its rows may have another name; all that were written before
+    rows had a digest of the weights must then have the same.
+
+    Args:
+        run: Folder of the run.
+
+    Raises:
+        DatasetError: A row is of other settings, weights or pairs than the run's, or a rollout has
+            two outcomes.
+        ConfigError: The run's config.json is damaged.
+    """
+    run = absolute(run)
+    rows = read_rows(rows_file(run))
+    if not rows:
+        return []
+    config = read_config(run) if (run / "config.json").is_file() else None
+    weights = {step: stored_weights(run, step) for step in {row.step for row in rows}}
+    pairs = {split: _stored_pairs(run, split) for split in {row.split for row in rows}}
+    outcomes: dict[tuple[Any, ...], tuple[Any, ...]] = {}
+    named: str | None = None
+    for number, row in enumerate(rows, start=1):
+        wrong = _settings(row, config)
+        if row.weights_sha:
+            known = weights[row.step] = weights[row.step] or row.weights_sha
+            wrong += _unlike("weights", row.weights_sha, known)
+        elif row.run:
+            named = named or row.run
+            wrong += _unlike("run", row.run, named)
+        wrong += _pair(row, pairs[row.split])
+        if row.finished:
+            outcome = (row.success, row.steps)
+            way = (row.step, row.split, row.width, row.engine, row.ensemble, row.pair)
+            if outcomes.setdefault(way, outcome) != outcome:
+                wrong.append("a second outcome of a rollout that had one")
+        if wrong:
+            raise DatasetError(
+                f"{rows_file(run)}, line {number}: this row of pair {row.pair} at step {row.step} "
+                f"is not of this run ({'; '.join(wrong)}). Remove what was put there from "
+                f"elsewhere, or move {run / 'eval'} away and evaluate anew."
+            )
+    return [replace(row, run=run.name) for row in rows]
+
+
+def weights_digest(described: Mapping[str, Sequence[Any]]) -> str:
+    """A digest of weights, the same for a checkpoint on disk and for what acts.
+
+    Args:
+        described: Dtype, shape and SHA-256 of each array by its name, without the item that holds
+            it: "encoder/kernel".
+    """
+    text = json.dumps(sorted([name, *what] for name, what in described.items()))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def stored_weights(run: Path, step: int) -> str | None:
+    """The digest of the weights that are evaluated of a checkpoint, as its manifest says.
+
+    Args:
+        run: Folder of the run.
+        step: Updates of the checkpoint.
+
+    Returns:
+        The digest; None where there is no such checkpoint any more, or its manifest is damaged,
+        which those find who load it.
+    """
+    try:
+        text = (run / "checkpoints" / str(step) / "manifest" / "metadata").read_text("utf-8")
+        items: dict[str, dict[str, Any]] = {}
+        for name, what in json.loads(text)["leaves"].items():
+            item, _, rest = name.partition("/")
+            items.setdefault(item, {})[rest] = what
+        chosen = items.get("ema") or items.get("params")
+        return weights_digest(chosen) if chosen else None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
+
+
+def _settings(row: Row, config: TrainConfig | None) -> list[str]:
+    """In what a row is of other settings than its run."""
+    if config is None:
+        return []
+    return [
+        words
+        for name in _OF_RUN
+        if (value := getattr(row, name)) is not None
+        for words in _unlike(name, value, getattr(config, name))
+    ]
+
+
+def _pair(row: Row, known: dict[int, str]) -> list[str]:
+    """In what a row is of another pair than the one of its number; older rows do not say."""
+    if row.pair_sha is None:
+        return []
+    return _unlike("pair", row.pair_sha, known.setdefault(row.pair, row.pair_sha))
+
+
+def _unlike(what: str, got: Any, expected: Any) -> list[str]:
+    return [] if got == expected else [f"{what} {got!r}, expected {expected!r}"]
+
+
+def _stored_pairs(run: Path, split: str) -> dict[int, str]:
+    """Digests of the pairs that were written down beside the rows; none without them.
+
+    Raises:
+        DatasetError: The file is not what `jaxcam.data.pairs.store_pairs` writes.
+    """
+    if split not in ("test", "validation"):
+        return {}  # a name from a file is no path
+    file = rows_file(run).with_name(f"pairs-{split}.json")
+    if not file.is_file():
+        return {}
+    try:
+        records = cast(Iterable[Any], json.loads(file.read_text("utf-8"))["pairs"])
+        return {number: str(record["sha"]) for number, record in enumerate(records)}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise DatasetError(
+            f"{file} is damaged: expected the pairs of an evaluation. Move it away; the next "
+            "evaluation writes it again."
+        ) from error

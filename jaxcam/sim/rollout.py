@@ -14,13 +14,17 @@ import numpy as np
 
 from jaxcam.rays import invert
 from jaxcam.rays.rotations import Array, array_namespace
-from jaxcam.sim.actions import averageable, averaged, decode, measured
+from jaxcam.sim.actions import action_dim, averageable, averaged, decode, measured
 from jaxcam.sim.engine import Engine, Play, Progress
 from jaxcam.sim.ensemble import ensemble
 from jaxcam.sim.painter import Painter
 from jaxcam.sim.task import Task
 from jaxcam.sim.types import Command, Start, State, View
 from jaxcam.sim.world import World
+
+_BEYOND = 1e6
+"""No action is as large, in metres, radians or otherwise: simulators fail on such numbers, and
+that is the policy's failure."""
 
 PolicyCall = Callable[[dict[str, np.ndarray], int], np.ndarray]
 """`act(obs, call)`: observations of all episodes and number of the call, to chunks [B, T, A]. MJX
@@ -67,9 +71,11 @@ class Rollouts:
     steps: np.ndarray
     """[B] control steps to success, or until the episode was cut."""
     ok: np.ndarray
-    """[B] bool: physics and actions stayed finite."""
+    """[B] bool: the physics stayed finite."""
     qpos: np.ndarray = field(repr=False)
     """[T + 1, B, nq] the way there, for videos."""
+    acted: np.ndarray
+    """[B] bool: the policy gave actions at each turn: numbers, of the right shape."""
 
 
 def rollout(
@@ -111,8 +117,9 @@ def rollout(
     return Rollouts(
         success=np.asarray(progress.success),
         steps=np.asarray(progress.steps),
-        ok=np.asarray(progress.state.ok & progress.alive),
+        ok=np.asarray(progress.state.ok),
         qpos=np.asarray(trace),
+        acted=np.asarray(progress.alive),
     )
 
 
@@ -177,13 +184,12 @@ class _PolicyTurn:
         steps = [self._observe(one, start, inputs, active) for one in observed]
         obs = {name: xp.stack([step[name] for step in steps], 1) for name in steps[0]}
         obs = obs if self._past else steps[0]
-        chunk = xp.asarray(inputs.act(obs, call))[:, : self._execute]
-        is_finite = xp.isfinite(chunk).all((1, 2))
+        chunk = self._chunk(xp.asarray(inputs.act(obs, call)), len(active))
+        acts = (xp.abs(chunk) < _BEYOND).all((1, 2))  # False for what is no number, too
         # A world that is done sees black: its chunk is not used.
-        progress = progress._replace(alive=progress.alive & (is_finite | ~active))
-        chunk = xp.where(is_finite[:, None, None], chunk, 0)
-        nominal = self._world.nominal_grip
-        targets, gripper = decode(self._space, chunk, carried.anchor, nominal)
+        progress = progress._replace(alive=progress.alive & (acts | ~active))
+        chunk = xp.where(acts[:, None, None], chunk, 0)
+        targets, gripper = decode(self._space, chunk, carried.anchor, self._world.nominal_grip)
         mean = carried.mean
         if self._ensembling:
             numbers = averageable(self._space, targets, gripper)
@@ -200,6 +206,14 @@ class _PolicyTurn:
                 observed.append(_Sensed(progress.state.qpos, progress.state.grip_position))
         before = tuple(observed[len(observed) - self._past :])
         return progress, _Carried(targets[:, -1], before, mean), xp.concatenate(way)
+
+    def _chunk(self, chunk: Array, count: int) -> Array:
+        """The steps that are executed [B, T, A]; no numbers where a policy gave another shape."""
+        steps, size = self._execute or 1, action_dim(self._space)
+        least = steps if self._ensembling else 1  # what is averaged has one length
+        if chunk.ndim == 3 and chunk.shape[::2] == (count, size) and chunk.shape[1] >= least:
+            return chunk[:, : self._execute]
+        return array_namespace(chunk).full((count, steps, size), np.nan)
 
     def _observe(
         self, sensed: _Sensed, start: Start, inputs: _Inputs, active: Array

@@ -28,11 +28,21 @@ EVALUATIONS = {
     "a rollout that failed": (
         lambda r: write(r / "eval" / "rows.jsonl",
                         [row(2, 0), row(2, 1), row(2, 2, status="error", success=False)]),
-        "note", "2 of 3 pairs have an outcome; 1 ended in an error",
+        "note", "2 of 3 pairs have an outcome; 1 ended in an error of the simulator",
     ),
     "a rollout twice": (
         lambda r: write(r / "eval" / "rows.jsonl", [row(2, p) for p in (0, 1, 2, 1)]),
         "bad", "1 rollouts have several outcomes",
+    ),
+    "no actions": (
+        lambda r: write(r / "eval" / "rows.jsonl",
+                        [row(2, 0), row(2, 1), row(2, 2, status="policy", success=False)]),
+        "good", "3 of 3 pairs have an outcome; in 1 the policy gave no actions",
+    ),
+    "rows of other weights": (
+        lambda r: write(r / "eval" / "rows.jsonl",
+                        [row(2, p, weights_sha=f"{p // 2:016x}") for p in range(3)]),
+        "bad", "line 3: this row of pair 2 at step 2 is not of this run (weights",
     ),
     "no evaluation": (lambda r: shutil.rmtree(r / "eval"), "note", "none yet"),
 }  # fmt: skip

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tiny_training import PairsEvaluator
 
-from jaxcam.errors import ConfigError
+from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.evaluation.checkpoint import Wanted, evaluate
 from jaxcam.evaluation.evaluator import Candidate
 from jaxcam.files.jsonl import append_jsonl, read_jsonl
@@ -103,3 +103,18 @@ def test_rows_that_were_made_in_another_way_do_not_count(tmp_path, other):
     append_jsonl(rows_file(tmp_path), replace(row, pair=3, **other).to_json())
     evaluate(evaluator, candidate(tmp_path), Wanted(pairs=4))
     assert sorted(set(evaluator.ran)) == [0, 1, 2, 3]
+
+
+def test_rows_of_another_run_are_not_taken_for_this_ones(tmp_path):
+    """They were once: nothing was run, and 100 % was said."""
+    for name, changes in (
+        ("weights", {"weights_sha": "0" * 16}),
+        ("pairs", {"pair_sha": "f" * 16}),
+    ):
+        folder = tmp_path / name
+        folder.mkdir()
+        evaluate(FlakyEvaluator(), candidate(folder), Wanted(pairs=1))
+        (row,) = read_rows(rows_file(folder))
+        append_jsonl(rows_file(folder), replace(row, pair=3, **changes).to_json())
+        with pytest.raises(DatasetError, match=r"other weights|not of this run"):
+            evaluate(FlakyEvaluator(), candidate(folder), Wanted(pairs=4))

@@ -12,6 +12,7 @@ from jaxcam.data.pairs import make_pairs
 from jaxcam.evaluation.evaluator import VIDEO_PIXELS, Candidate, Evaluator
 from jaxcam.models import Policy, PolicySpec
 from jaxcam.results.rows import Row
+from jaxcam.results.stats import success_rate
 from jaxcam.runs.identity import resolve
 from jaxcam.sim.rollout import Rollouts
 
@@ -56,7 +57,8 @@ def test_a_row_says_what_was_run(evaluator, candidate):
     said = Row(
         task="lift", scene="randomized", run="a run", policy="act", conditioning="keypoints",
         seed=4, step=40, split="validation", pair=5, success=False, status="ok", steps=HORIZON,
-        renderer=evaluator.renderer.look(), engine="native", ensemble=0.0, width=WIDTH,
+        weights_sha=candidate.weights_sha, renderer=evaluator.renderer.look(), engine="native",
+        ensemble=0.0, width=WIDTH,
     )  # fmt: skip
     measured = ("pair_sha", "camera", "distance", "elevation_deg", "azimuth_deg", "episode_seed")
     assert replace(rows[0], **dict.fromkeys(measured)) == said
@@ -68,7 +70,40 @@ def test_a_row_says_what_was_run(evaluator, candidate):
 def test_actions_that_are_no_numbers_end_in_an_error(evaluator, candidate):
     broken = replace(candidate, params={"move": jnp.float32(np.nan)})
     rows, _ = evaluator.run(broken, "test", [0])
-    assert [(row.status, row.success) for row in rows] == [("error", False)]
+    assert [(row.status, row.success) for row in rows] == [("policy", False)]
+    assert (success_rate(rows).n, success_rate(rows).broken) == (1, 1)
+
+
+@pytest.mark.parametrize("number", [np.inf, -1e30])
+def test_numbers_that_no_simulator_bears_are_the_policys_failure(evaluator, candidate, number):
+    rows, _ = evaluator.run(replace(candidate, params={"move": jnp.float32(number)}), "test", [0])
+    assert [row.status for row in rows] == ["policy"]
+
+
+@pytest.mark.parametrize("shape", [(WIDTH, CHUNK, 6), (WIDTH, 0, 7), (WIDTH + 1, CHUNK, 7), (3,)])
+def test_actions_of_another_shape_are_the_policys_failure(evaluator, candidate, shape):
+    odd = replace(candidate.policy, act=lambda params, obs, key: jnp.zeros(shape))
+    rows, _ = evaluator.run(replace(candidate, policy=odd), "test", [0])
+    assert [(row.status, row.success) for row in rows] == [("policy", False)]
+
+
+def test_a_simulator_that_fails_leaves_no_outcome(evaluator, candidate, monkeypatch):
+    step = evaluator.engine.step
+
+    def failing(state, command, active=None):
+        return step(state, command, active)._replace(ok=np.zeros(len(state.ok), bool))
+
+    monkeypatch.setattr(evaluator.engine, "step", failing)
+    rows, _ = evaluator.run(candidate, "test", [0])
+    assert [(row.status, row.success) for row in rows] == [("simulator", None)]
+    assert success_rate(rows).excluded == 1
+
+
+def test_rows_say_whose_weights_acted(evaluator, candidate):
+    rows, _ = evaluator.run(candidate, "test", [0])
+    again, _ = evaluator.run(replace(candidate, params={"move": jnp.float32(0.0)}), "test", [0])
+    other, _ = evaluator.run(replace(candidate, params={"move": jnp.float32(1e-6)}), "test", [0])
+    assert rows[0].weights_sha == again[0].weights_sha != other[0].weights_sha
 
 
 @pytest.mark.parametrize(
@@ -104,7 +139,7 @@ def test_each_clip_is_seen_by_the_camera_of_its_pair(evaluator):
         still = np.tile(qpos, (HORIZON + 1, 1, 1))
         nothing = np.zeros(len(pairs), bool)
         steps = np.full(len(pairs), HORIZON)
-        return evaluator.clips(Rollouts(nothing, steps, ~nothing, still), "test", pairs)
+        return evaluator.clips(Rollouts(nothing, steps, ~nothing, still, ~nothing), "test", pairs)
 
     both, (alone,) = clips([0, 1]), clips([1])
     assert both[0].shape == (HORIZON // 2 + 1, VIDEO_PIXELS, VIDEO_PIXELS, 3)

@@ -132,7 +132,8 @@ class PairsEvaluator:
             for pair, good in zip(pairs, ok, strict=True)
         ]  # fmt: skip
         nothing = np.zeros(len(pairs))
-        return rows, Rollouts(nothing > 0, nothing, nothing == 0, np.zeros((1, len(pairs), 1)))
+        still = np.zeros((1, len(pairs), 1))
+        return rows, Rollouts(nothing > 0, nothing, nothing == 0, still, nothing == 0)
 
 
 def scenes(folder):

@@ -33,7 +33,7 @@ from jaxcam.reports.document import (
 from jaxcam.reports.studies import STUDIES, panels
 from jaxcam.reports.study_figures import COLOURS, bars, curves
 from jaxcam.reports.tables import gains_table, paper_value, table_one
-from jaxcam.results.stats import paired_difference
+from jaxcam.results.differences import paired_difference
 from jaxcam.runs.identity import resolve
 
 BY_FIELD = {study.field: study for study in STUDIES}
