@@ -11,7 +11,7 @@ Conditioning = Literal["none", "token", "early", "late", "keypoints"]
 ActionSpace = Literal[
     "eef_delta", "eef_abs", "joint_delta", "joint_abs", "eef_delta_componentwise"
 ]  # fmt: skip
-CommandSource = Literal["commands", "states"]
+CommandSource = Literal["commands", "deltas", "absolute", "states"]
 ScheduleName = Literal["constant", "cosine"]
 OptimizerName = Literal["adamw", "adam"]
 Precision = Literal["float32", "bfloat16"]

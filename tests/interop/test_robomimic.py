@@ -20,7 +20,8 @@ from jaxcam.data.pictures import Pictures
 from jaxcam.data.samples import Layout
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.interop.robomimic import import_demos, success_of
-from jaxcam.interop.robosuite_model import read_controller, read_origin
+from jaxcam.interop.robosuite_commands import read_controller
+from jaxcam.interop.robosuite_model import read_origin
 from jaxcam.pipeline import like_its_dataset, train, training_data
 from jaxcam.rays.rotations import matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.runs.identity import resolve
@@ -81,7 +82,7 @@ def test_real_episodes_succeed_as_recorded_and_replayed(files, version, actions)
 
 @pytest.mark.parametrize("version", VERSIONS)
 def test_replayed_commands_go_the_recorded_way(lift, files, version):
-    for demo in imported(files[version]).train:
+    for demo in imported(files[version], validation=0).train:
         scene = lift.scene("randomized")
         engine = NativeEngine(scene, varied=lift.varied)
         state = engine.reset(starts_of([demo]))
@@ -111,7 +112,7 @@ def test_states_sizes_and_cameras_are_carried_over(lift, files, version):
 
 
 def test_robosuite_14_keeps_the_orientation_where_no_rotation_is_asked(files):
-    for i, demo in enumerate(imported(files["1.4"]).train):
+    for i, demo in enumerate(imported(files["1.4"], validation=0).train):
         still = (recorded("1.4")[f"actions_{i}"][:-1, 3:6] == 0).all(-1)
         last = np.flatnonzero(~still)[-1]
         assert last < len(still) - 10
@@ -147,7 +148,7 @@ def turned(parts, version):
 
 @pytest.mark.parametrize("version", VERSIONS)
 def test_the_robots_base_may_stand_elsewhere(tmp_path, files, version):
-    here = imported(files[version])
+    here = imported(files[version], validation=0)
     there = imported(write(tmp_path / "turned.hdf5", turned(recorded(version), version)))
     for a, b in zip(here.train, there.train, strict=True):
         np.testing.assert_allclose(b.states, a.states, atol=1e-9)
@@ -164,7 +165,7 @@ def test_absolute_actions_are_targets(tmp_path, lift, files, version):
     configs = parts["env_args"]["env_kwargs"]["controller_configs"]
     arm = configs if version == "1.4" else configs["body_parts"]["right"]
     arm |= {"control_delta": False} if version == "1.4" else {"input_type": "absolute"}
-    delta = imported(files[version]).train
+    delta = imported(files[version], validation=0).train
     scene = lift.scene("randomized")
     for i in range(EPISODES):
         origin = read_origin(str(parts[f"model_{i}"]), parts[f"states_{i}"][0], scene, lift.varied)
@@ -181,7 +182,7 @@ def test_absolute_actions_are_targets(tmp_path, lift, files, version):
 
 
 def test_without_actions_the_fingers_tell_the_gripper(tmp_path, files):
-    told = imported(files["1.5"]).train
+    told = imported(files["1.5"], validation=0).train
     path = write(tmp_path / "states.hdf5", recorded("1.5"), leave_out=["actions"])
     for a, b in zip(told, imported(path, actions="states").train, strict=True):
         closes = [int(np.argmax(d.actions[:, 6] > 0)) for d in (a, b)]
@@ -321,7 +322,7 @@ def test_a_controller_of_older_robosuite_is_read():
 
 def test_delta_actions_of_an_imported_demonstration_are_small(files):
     """They are differenced between commands, so they must not jump more than robosuite's do."""
-    for demo in imported(files["1.5"]).train:
+    for demo in imported(files["1.5"], validation=0).train:
         start = np.concatenate([demo.eef_pos[0], np.zeros(3)])
         moves = encode("eef_delta", demo.actions[:, :6], demo.actions[:, 6], start)
         assert np.abs(moves[1:, :3]).max() < 0.05
