@@ -119,7 +119,8 @@ def _outside(path: Path, name: bytes, what: str) -> DatasetError:
 def _bytes_of(array: h5py.h5d.DatasetID) -> int:
     """Bytes that an array declares, as numbers of 8 at least, or that one chunk of it takes."""
     made = array.get_create_plist()
-    elements = math.prod(array.get_space().shape)
+    shape = array.get_space().shape
+    elements = 0 if shape is None else math.prod(shape)
     if elements and made.get_layout() == h5py.h5d.CHUNKED:
         elements = max(elements, math.prod(made.get_chunk()))
     return elements * max(array.get_type().get_size(), 8)

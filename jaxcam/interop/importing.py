@@ -25,7 +25,7 @@ from jaxcam.sim.world import World
 
 def held_back(count: int) -> int:
     """Demonstrations of `count` that become validation ones: every tenth, one at least."""
-    return max(count // 10, min(1, count - 1))
+    return max(count // 10, min(1, count - 1), 0)
 
 
 @dataclass(frozen=True)
@@ -60,16 +60,35 @@ class Masks:
             )
         return [name for name in self.everything if name in members]
 
-    def split(self, part: str | None, chosen: list[str]) -> tuple[list[str], list[str]]:
-        """Training and validation demonstrations, as robomimic's `split_train_val.py` names them.
+    def split(self, part: str | None, validation: int | None) -> tuple[list[str], list[str]]:
+        """Training and validation demonstrations.
 
         Args:
-            part: Entry that was asked for, if any.
-            chosen: Its demonstrations.
+            part: Entry that was asked for, if any. `20_demos` is split by `20_demos_train` and
+                `20_demos_valid`, as robomimic's `split_train_val.py` names them; all is split by
+                `train` and `valid`.
+            validation: How many of the last ones are for validation; as the entries say when None.
+
+        Raises:
+            DatasetError: None is left to train on, or the entries contradict each other.
         """
+        chosen = self.everything if part is None else self.members(part)
+        if validation is not None:
+            cut = max(len(chosen) - validation, 0)
+            train, valid = chosen[:cut], chosen[cut:]
+        else:
+            train, valid = self._as_listed(part, chosen)
+        if not train:
+            raise DatasetError(
+                f"{self.path}: {len(chosen)} demonstrations, {len(valid)} of them for validation: "
+                "none is left to train on. Choose another --filter-key or a smaller --validation."
+            )
+        return train, valid
+
+    def _as_listed(self, part: str | None, chosen: list[str]) -> tuple[list[str], list[str]]:
         stem = (part or "train").removesuffix("train")
         keys = (f"{stem}train", f"{stem}valid")
-        if part is not None and stem == part:  # 20_demos has 20_demos_train and 20_demos_valid
+        if part is not None and stem == part:
             keys = (f"{part}_train", f"{part}_valid")
         if not (self.has(keys[0]) or self.has(keys[1])):
             keys = ("", "valid")
@@ -83,7 +102,7 @@ class Masks:
                 f"{self.path}: {both[0]} is in mask/{keys[0]} and in mask/{keys[1]}: it would be "
                 "trained and validated on. Split the file anew with --validation."
             )
-        if not valid and len(train) > 1:
+        if not valid:
             cut = len(train) - held_back(len(train))
             train, valid = train[:cut], train[cut:]
         return train, valid

@@ -195,12 +195,12 @@ def _read_source(path: Path, file: h5py.File, config: RobomimicConfig) -> Demons
             controller = read_controller(settings.get("controller_configs"), config.actions)
         except DatasetError as error:
             raise DatasetError(f"{path}: {error} Import with --actions states.") from error
-    train, valid = _split(path, file, config)
+    everything = _numbered(file)
+    train, valid = Masks.of(path, file, everything).split(config.filter_key, config.validation)
     version = str(env.get("env_version", "of unknown version"))[:40]
     about = f"{path.name}: {name} of robosuite {version}, {config.actions}"
     _check_sizes(path, file, train + valid)
-    count = len(_numbered(file))
-    return DemonstrationFile(path, file, controller, train, valid, count, about)
+    return DemonstrationFile(path, file, controller, train, valid, len(everything), about)
 
 
 def _check_sizes(path: Path, file: h5py.File, demos: list[str]) -> None:
@@ -225,24 +225,6 @@ def _check_environment(path: Path, name: str, settings: dict[str, Any], task: st
         raise DatasetError(
             f"{path}: recorded at {hz} control steps a second; ours take {CONTROL_HZ}."
         )
-
-
-def _split(path: Path, file: h5py.File, config: RobomimicConfig) -> tuple[list[str], list[str]]:
-    """Names of the training and of the validation demonstrations."""
-    everything = _numbered(file)
-    part, masks = config.filter_key, Masks.of(path, file, everything)
-    chosen = everything if part is None else masks.members(part)
-    if config.validation is not None:
-        valid = chosen[max(len(chosen) - config.validation, 0) :]
-        train = [name for name in chosen if name not in valid]
-    else:
-        train, valid = masks.split(part, chosen)
-    if not train:
-        raise DatasetError(
-            f"{path}: {len(train + valid)} demonstrations, {len(valid)} of them for validation: "
-            "none is left to train on. Choose another --filter-key or a smaller --validation."
-        )
-    return train, valid
 
 
 def _numbered(file: h5py.File) -> list[str]:
