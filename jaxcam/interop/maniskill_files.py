@@ -28,7 +28,7 @@ from jaxcam.data.hdf5 import (
     require_file,
     whole,
 )
-from jaxcam.errors import DatasetError, JaxcamError
+from jaxcam.errors import DatasetError, JaxcamError, closest
 from jaxcam.files.paths import home
 from jaxcam.interop.maniskill_actions import (
     check_mode,
@@ -64,6 +64,8 @@ REMEDY = "Download or record it again."
 """What to do with a file that is damaged."""
 LARGEST_JSON = 1 << 26
 """Bytes of the JSON file: a thousand episodes have 1 MB."""
+TYPO = 0.85
+"""Likeness of an environment's name from which one of ours was meant: PickCube is not PushCube."""
 SAME = 1e-3
 """Difference (m, and of quaternions) up to which two poses of the robot's base are the same."""
 
@@ -121,8 +123,8 @@ def read_source(config: ManiskillConfig) -> TrajectoryFile:
         ) from error
     if env not in ENVIRONMENTS:
         raise DatasetError(
-            f"{path}: trajectories of {env!r}, which is none of our tasks. Those that can be "
-            f"replayed: {', '.join(ENVIRONMENTS)}."
+            f"{path}: trajectories of {env!r}{closest(env, ENVIRONMENTS, TYPO)}. Others cannot be "
+            "replayed in our tasks."
         )
     if hz != CONTROL_HZ:
         raise DatasetError(

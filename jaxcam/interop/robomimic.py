@@ -37,8 +37,8 @@ from jaxcam.files.paths import home
 from jaxcam.interop.importing import Masks, show_next, succeeds, write_dataset
 from jaxcam.interop.robosuite_commands import (
     Controller,
-    check_gripper,
     disagreement,
+    gripper_agrees,
     read_controller,
 )
 from jaxcam.interop.robosuite_model import GripPath, Origin, grip_path, read_origin
@@ -253,7 +253,7 @@ def _convert(
     origin = read_origin(xml, states[0], scene, task.varied)
     qpos, qvel = origin.carry(states)
     path = grip_path(scene, qpos, qvel)
-    gripper = _gripper(qpos[:, scene.fingers], actions)
+    gripper = _gripper(qpos[:, scene.fingers], actions, controller)
     targets = _targets(controller, actions, origin, path)
     closed = [0.0]
     for sign in gripper:
@@ -285,13 +285,20 @@ def _targets(
     return controller.targets(actions[:, :6], origin, path)[:-1]
 
 
-def _gripper(fingers: np.ndarray, actions: np.ndarray | None) -> np.ndarray:
+def _gripper(
+    fingers: np.ndarray, actions: np.ndarray | None, controller: Controller | None
+) -> np.ndarray:
     """Signs of the gripper's command of all states but the last; from the opening if need be."""
     opening = np.abs(fingers).sum(-1)
     if actions is not None:
         signs = np.sign(actions[:-1, 6])
-        check_gripper(signs, opening)
-        return signs
+        if gripper_agrees(signs, opening):
+            return signs
+        if controller is not None:
+            raise DatasetError(
+                "its fingers open where commands close them: in robosuite positive closes. Import "
+                "with --actions states, which takes the gripper's command from its fingers."
+            )
     moves = np.diff(opening)
     signs, last = np.empty(len(moves)), -1.0
     for t, move in enumerate(moves):

@@ -68,7 +68,7 @@ def spoil_actions(parts, how):
             case "nothing":
                 actions[:, :6] = 0
             case "late":
-                actions[:] = np.roll(actions, 6, 0)
+                actions[:, :6] = np.roll(actions[:, :6], 6, 0)
             case "twice":
                 actions[:, :6] *= 0.5
             case "mirrored":
@@ -109,6 +109,9 @@ def test_a_gripper_that_is_turned_around_is_refused(tmp_path, version):
     path = write(tmp_path / "bad.hdf5", spoil_actions(recorded(version), "gripper"))
     with pytest.raises(DatasetError, match="demo_0: its fingers open where commands close them"):
         imported(path)
+    for demo in imported(path, actions="states", validation=0).train:
+        assert demo.actions[0, 6] == -1
+        assert demo.actions[-1, 6] == 1
 
 
 OSC = {"type": "OSC_POSE", "kp": 150, "damping_ratio": 1}
