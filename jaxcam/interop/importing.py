@@ -14,6 +14,7 @@ from jaxcam.config.names import TaskName
 from jaxcam.data.collection import camera_windows, new_header, with_stair
 from jaxcam.data.demos import Demo, Demos, read_demos
 from jaxcam.data.hdf5 import group_at, names
+from jaxcam.data.splits import NO_VALIDATION
 from jaxcam.data.writer import DemoWriter
 from jaxcam.errors import DatasetError, closest
 from jaxcam.files.locks import exclusive
@@ -123,10 +124,7 @@ def show_next(demos: Demos, works: bool, console: Console) -> None:
         )  # fmt: skip
         return
     if not demos.valid:
-        console.print(
-            "No validation demonstrations: training on it gives no validation loss, by which "
-            "overfitting would be seen."
-        )
+        console.print(NO_VALIDATION)
     console.print(f"Train on it: python -m jaxcam.train --dataset {demos.path}", soft_wrap=True)
 
 
