@@ -1,11 +1,17 @@
 """What importing shares: how a file's demonstrations are split, and what is said of them."""
 
+import io
+
 import h5py
 import pytest
+from rich.console import Console
 from robomimic_files import EPISODES, imported, of_many, recorded, write
 
+from jaxcam.config.train import TrainConfig
 from jaxcam.errors import DatasetError
 from jaxcam.interop.importing import Masks, held_back
+from jaxcam.pipeline import like_its_dataset, training_data
+from jaxcam.runs.identity import resolve
 
 MASKS = {
     "train": [0, 1, 2, 3, 4, 5, 6, 7],
@@ -86,3 +92,22 @@ def test_masks_choose_demonstrations(tmp_path):
         imported(path, filter_key="beter")
     with pytest.raises(DatasetError, match="none is left to train on"):
         imported(path, validation=2)
+
+
+class DrawnError(Exception):
+    """Raised where pictures would be drawn."""
+
+
+@pytest.mark.parametrize("validation", [0, 1])
+def test_training_without_validation_says_so(tmp_path, monkeypatch, validation):
+    def stop(*_):
+        raise DrawnError
+
+    monkeypatch.setattr("jaxcam.pipeline.load_pictures", stop)
+    path = imported(of_many(tmp_path / "few.hdf5", 2, {}), validation=validation).path
+    config = like_its_dataset(TrainConfig(dataset=str(path), resolution=16))
+    console = Console(file=io.StringIO(), width=300)
+    with pytest.raises(DrawnError):
+        training_data([resolve(config, accelerator=False)], console)
+    said = console.file.getvalue()
+    assert (f"{path}: No validation demonstrations" in said) == (validation == 0)
