@@ -8,6 +8,7 @@ import contextlib
 import math
 import re
 import stat
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
@@ -28,6 +29,8 @@ LARGEST_TEXT = 1 << 24
 EXPANDS = 20
 """How many times its own size a file of ours may have when it is read: our files do not compress,
 and what others make of them (`h5repack`) shrinks to a third."""
+CHECKSUM = 4
+"""Bytes that a checksum adds to a chunk."""
 FREE = 1 << 26
 """Bytes that any file may declare."""
 _LOW: Any = h5py  # its modules for single calls of HDF5 have no types
@@ -78,20 +81,22 @@ def open_hdf5(path: Path, *, missing: str = "no such file.", remedy: str) -> h5p
     with whole(path, remedy):
         file = h5py.File(path, "r")
         try:
-            declared = _check_parts(path, file)
+            arrays = _check_parts(path, file)
             if format_of(file) == "jaxcam":  # all of it is read
-                check_total(path, declared)
+                check_total(path, sum(_bytes_of(array) for array in arrays.values()))
+                for name, array in arrays.items():
+                    _check_chunks(array, f"{path}: {name}")
         except BaseException:
             file.close()
             raise
         return file
 
 
-def _check_parts(path: Path, file: h5py.File) -> int:
-    """Refuses links and arrays whose content lies in other files; bytes that all arrays declare."""
+def _check_parts(path: Path, file: h5py.File) -> dict[str, h5py.h5d.DatasetID]:
+    """Refuses links and arrays whose content lies in other files; all arrays by their name."""
     links: dict[bytes, int] = {}
     file.id.links.visit(lambda name, info: links.__setitem__(name, info.type), info=True)
-    declared = 0
+    arrays = {}
     for name, kind in links.items():
         if kind not in (_LOW.h5l.TYPE_HARD, _LOW.h5l.TYPE_SOFT):
             raise _outside(path, name, "a link to another file")
@@ -105,8 +110,8 @@ def _check_parts(path: Path, file: h5py.File) -> int:
             raise _outside(path, name, "a virtual dataset, made of parts of other files")
         if made.get_external_count():
             raise _outside(path, name, "a dataset whose numbers lie in another file")
-        declared += _bytes_of(array)
-    return declared
+        arrays[name.decode(errors="replace")] = array
+    return arrays
 
 
 def _outside(path: Path, name: bytes, what: str) -> DatasetError:
@@ -124,6 +129,26 @@ def _bytes_of(array: h5py.h5d.DatasetID) -> int:
     if elements and made.get_layout() == h5py.h5d.CHUNKED:
         elements = max(elements, math.prod(made.get_chunk()))
     return elements * max(array.get_type().get_size(), 8)
+
+
+def _check_chunks(array: h5py.h5d.DatasetID, where: str) -> None:
+    """Refuses chunks that unpack to more than a chunk: HDF5 would take memory without end."""
+    made = array.get_create_plist()
+    if made.get_layout() != h5py.h5d.CHUNKED:
+        return
+    used = [made.get_filter(i)[0] for i in range(made.get_nfilters())]
+    packed = [f for f in used if f not in (_LOW.h5z.FILTER_SHUFFLE, _LOW.h5z.FILTER_FLETCHER32)]
+    if not packed:
+        return
+    if packed != [_LOW.h5z.FILTER_DEFLATE]:
+        raise DatasetError(f"{where}: packed by HDF5's filters {packed}. Repack it with gzip.")
+    size = math.prod(made.get_chunk()) * array.get_type().get_size() + CHECKSUM
+    offsets: list[tuple[int, ...]] = []
+    array.chunk_iter(lambda chunk: offsets.append(chunk.chunk_offset))
+    for offset in offsets:
+        skipped, stored = array.read_direct_chunk(offset)
+        if not skipped and len(zlib.decompressobj().decompress(stored, size + 1)) > size:
+            raise DatasetError(f"{where}: a chunk declares {size} bytes, but unpacks to more.")
 
 
 def check_total(path: Path, declared: int) -> None:
@@ -170,6 +195,7 @@ def array_at(group: h5py.Group, name: str) -> h5py.Dataset:
             f"{_where(group, name)}: declares {size / 1e6:.0f} MB (shape {list(found.shape)}); at "
             f"most {LARGEST_ARRAY / 1e6:.0f} MB are read of one array."
         )
+    _check_chunks(found.id, _where(group, name))
     return found
 
 

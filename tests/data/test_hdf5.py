@@ -81,6 +81,18 @@ def test_nothing_outside_the_file_is_read(path, spoil, message):
         opened(path)
 
 
+@pytest.mark.parametrize("how", [{"shuffle": True}, {"fletcher32": True}, {}])
+def test_packed_arrays_are_read(path, how):
+    wanted = np.arange(3000.0).reshape(1000, 3)
+    with h5py.File(path, "r+") as file:
+        file.create_dataset("packed", data=wanted, compression="gzip", chunks=(300, 3), **how)
+        file.create_dataset("other", data=wanted, compression="lzf")
+    with opened(path) as file:
+        np.testing.assert_array_equal(numbers(file, "packed"), wanted)
+        with pytest.raises(DatasetError, match=r"other: packed by HDF5's filters.*with gzip"):
+            numbers(file, "other")
+
+
 def test_links_within_the_file_are_followed(path):
     with h5py.File(path, "r+") as file:
         file["soft"] = h5py.SoftLink("/data/numbers")
@@ -185,14 +197,22 @@ def giant(path, kind):
             del file["data/demo_0"].attrs["model_file"]
             file["data/demo_0"].attrs["model_file"] = "<mujoco>" + "<a/>" * (1 << 21)
             return
-        if kind == "packed":
+        if kind in ("packed", "bomb"):
             how["compression"] = "gzip"
+        if kind == "bomb":
+            shape = (32, 32)
+            how["chunks"] = (32, 32)
         if name in file:
             del file[name]
         dtype = "S8" if kind == "names" else "f8"
         made = file.create_dataset(name, shape, dtype, **how)
         if kind == "packed":
             made.id.write_direct_chunk((0, 0), zlib.compress(bytes(1 << 26)))
+        if kind == "bomb":
+            bomb, zeros = zlib.compressobj(), bytes(1 << 24)
+            made.id.write_direct_chunk(
+                (0, 0), b"".join(bomb.compress(zeros) for _ in range(200)) + bomb.flush()
+            )
 
 
 PEAK = """
@@ -226,6 +246,8 @@ def theirs(path):
     [
         ("theirs", "declared", "declare"),
         ("theirs", "packed", "declare"),
+        ("theirs", "bomb", "data/demo_0/states: a chunk declares 8196 bytes"),
+        ("ours", "bomb", "data/demo_0/states: a chunk declares 8196 bytes"),
         ("theirs", "names", "mask/train: declares"),
         ("theirs", "model", "over 20000 elements"),
         ("ours", "declared", "its arrays declare"),
