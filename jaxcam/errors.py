@@ -57,18 +57,19 @@ class DivergedError(JaxcamError):
     exit_code = 6
 
 
-def closest(name: str, known: Iterable[str]) -> str:
+def closest(name: str, known: Iterable[str], alike: float = 0.5) -> str:
     """End of an "unknown name" message: the nearest known name, then all of them.
 
     Args:
         name: The name that was not found.
         known: The names that exist.
+        alike: Likeness from 0 to 1 from which a name may have been meant.
 
     Returns:
         For example ", did you mean 'lift'? Known: lift, square".
     """
     names = list(known)
     lower = {n.lower(): n for n in names}
-    near = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5)
+    near = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=alike)
     hint = f", did you mean '{lower[near[0]]}'?" if near else "."
     return f"{hint} Known: {', '.join(names)}"

@@ -21,6 +21,7 @@ from jaxcam.data.collection import collect
 from jaxcam.data.demos import read_demos
 from jaxcam.data.pictures import load_pictures
 from jaxcam.data.samples import Layout, Samples
+from jaxcam.data.splits import NO_VALIDATION
 from jaxcam.devices import check_same, gathered, has_accelerator, is_first, joined, own
 from jaxcam.errors import ConfigError
 from jaxcam.evaluation.checkpoint import Wanted, evaluate
@@ -140,6 +141,8 @@ def training_data(configs: Sequence[TrainConfig], console: Console | None) -> Da
         demos = read_demos(absolute(config.dataset), task=config.task, scene=config.scene)
     else:
         demos = collect(CollectConfig.of(config), console)
+    if console and not demos.valid:
+        console.print(f"{demos.path}: {NO_VALIDATION}", soft_wrap=True)
     samples = Samples(Layout.of(demos), len(demos.train))
     seeds, obs_steps = [c.seed for c in configs], policy_settings(config, task.prompt).obs_steps
     wanted = samples.wanted(seeds, config.steps, config.batch, config.views, obs_steps)

@@ -88,7 +88,9 @@ class ImportConfig:
     scene: SceneName = "randomized"
     """Whether the table and the room that are seen stand still or move from episode to episode."""
     validation: Annotated[
-        int | None, tyro.conf.arg(metavar="INT"), default("every tenth, or as the file says")
+        int | None,
+        tyro.conf.arg(metavar="INT"),
+        default("every tenth, one at least, or as the file says"),
     ] = None
     """Validation demonstrations, the last ones."""
     n: Annotated[FromPreset[int], default("the task's")] = PRESET
@@ -111,10 +113,12 @@ class RobomimicConfig(ImportConfig):
     task: TaskName = "lift"
     """What the robot has to do."""
     actions: CommandSource = "commands"
-    """Where commands come from: the file's own OSC_POSE actions, or the poses that its states
-    reach, which every file has."""
+    """Where commands come from: the file's own OSC_POSE actions as its `env_args` say, or read as
+    deltas or as absolute poses whatever they say, or the poses that its states reach, which every
+    file has."""
     filter_key: Annotated[str | None, tyro.conf.arg(metavar="STR"), default("all")] = None
-    """Import only the demonstrations of this entry of the file's `mask`."""
+    """Import only the demonstrations of this entry of the file's `mask`; KEY_train and KEY_valid
+    split them where the file has these."""
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ ActionSpace = Literal[
     "eef_delta", "eef_abs", "joint_delta", "joint_abs", "eef_delta_componentwise"
 ]  # fmt: skip
 Rotations = Literal["nominal", "world"]
-CommandSource = Literal["commands", "states"]
+CommandSource = Literal["commands", "deltas", "absolute", "states"]
 ScheduleName = Literal["constant", "cosine", "cosine_from_start"]
 OptimizerName = Literal["adamw", "adam"]
 Precision = Literal["float32", "bfloat16"]

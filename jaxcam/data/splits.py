@@ -37,3 +37,10 @@ def episode_seeds(seed: int) -> range:
     """The episode seeds that the dataset of a seed may use."""
     first = FIRST_SEED + SEED_STRIDE * seed
     return range(first, first + SEEDS)
+
+
+NO_VALIDATION = (
+    "No validation demonstrations: training on it gives no validation loss, by which overfitting "
+    "would be seen."
+)
+"""What is said of a dataset without any, when it is imported and when it is trained on."""

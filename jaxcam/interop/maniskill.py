@@ -20,8 +20,14 @@ from jaxcam.data.demos import Demo, Demos
 from jaxcam.data.replay import falls_short, play, show_replayed
 from jaxcam.data.splits import FIRST_SEED
 from jaxcam.errors import DatasetError
-from jaxcam.interop.importing import succeeds, write_dataset
-from jaxcam.interop.maniskill_files import open_file, read_demo, read_source, why_failed
+from jaxcam.interop.importing import held_back, show_next, succeeds, write_dataset
+from jaxcam.interop.maniskill_files import (
+    check_sizes,
+    open_file,
+    read_demo,
+    read_source,
+    why_failed,
+)
 from jaxcam.sim import make_engine
 from jaxcam.sim.actions import ACTION_SPACES, controller_of
 from jaxcam.sim.maniskill.scene import SapienWorld
@@ -64,11 +70,10 @@ def import_trajectories(config: ManiskillConfig, console: Console | None = None)
         open_file(source.path) as file,
         progress(console, "reading", len(source.episodes)) as advance,
     ):
+        check_sizes(source, file)
         for episode in source.episodes:
-            name = f"traj_{episode['episode_id']}"
-            demo = read_demo(
-                source, file, name, str(episode["control_mode"]), FIRST_SEED + len(demos)
-            )
+            name = episode.name
+            demo = read_demo(source, file, name, episode.mode, FIRST_SEED + len(demos))
             if succeeds(demo, source.task, source.scene):
                 demos[name] = demo
             else:
@@ -77,7 +82,7 @@ def import_trajectories(config: ManiskillConfig, console: Console | None = None)
     if not demos:
         name, why = next(iter(dropped.items()))
         raise DatasetError(f"{source.path}: no trajectory succeeds. The first, {name}: {why}.")
-    valid = len(demos) // 10 if config.validation is None else config.validation
+    valid = held_back(len(demos)) if config.validation is None else config.validation
     train = len(demos) - valid
     if train < 1:
         raise DatasetError(
@@ -120,7 +125,7 @@ def run(
         for i in np.flatnonzero(~success):
             why = _why_lost(data.episodes[i], space, data, engine)
             console.print(f"{space}, {found.names[i]}: {why}")
-    console.print(f"Train on it: python -m jaxcam.train --dataset {data.path}", soft_wrap=True)
+    show_next(data, any(success.any() for success in replayed.values()), console)
     return replayed
 
 

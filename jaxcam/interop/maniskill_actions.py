@@ -6,6 +6,7 @@ to, and that `pd_ee_delta_pose` scales a rotation by its lower bound, which turn
 
 import numpy as np
 
+from jaxcam.errors import DatasetError, closest
 from jaxcam.rays.rotations import matrix_from_rotvec
 from jaxcam.sim.maniskill import kinematics
 
@@ -26,8 +27,21 @@ SIZES = {
 }
 """Length of an action, the gripper's included, in the modes that say where to go."""
 
+VELOCITIES = ("pd_joint_vel", "pd_joint_pos_vel", "pd_joint_delta_pos_vel")
+"""Modes whose actions are velocities, or have some: the way of the arm says where they led."""
+
 Poses = tuple[np.ndarray, np.ndarray]
 """Positions (m) [T, 3] and axes [T, 3, 3]."""
+
+
+def check_mode(mode: str) -> None:
+    """Refuses a control mode whose actions nobody here can read.
+
+    Raises:
+        DatasetError: It is none of the Panda's.
+    """
+    if mode not in SIZES and mode not in VELOCITIES:
+        raise DatasetError(f"no control mode {mode!r}{closest(mode, [*SIZES, *VELOCITIES])}")
 
 
 def grip_targets(mode: str, actions: np.ndarray, joints: np.ndarray) -> Poses:
@@ -37,8 +51,14 @@ def grip_targets(mode: str, actions: np.ndarray, joints: np.ndarray) -> Poses:
         mode: Control mode; where it does not say where to go, the ways of the arm do.
         actions: [T, A], the gripper last.
         joints: Joint angles (rad) [T + 1, 7] before each action, and after the last one.
+
+    Raises:
+        DatasetError: If actions are not as long as the mode's, or the mode is none.
     """
-    if SIZES.get(mode) != actions.shape[1]:
+    check_mode(mode)
+    if (size := SIZES.get(mode, actions.shape[1])) != actions.shape[1]:
+        raise DatasetError(f"actions of {actions.shape[1]} numbers; {mode} has {size}.")
+    if mode in VELOCITIES:
         ahead = np.minimum(np.arange(len(actions)) + LEAD, len(actions))
         return kinematics.forward(joints[ahead])[:2]
     if mode.startswith("pd_joint"):

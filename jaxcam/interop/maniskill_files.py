@@ -19,10 +19,22 @@ import numpy as np
 
 from jaxcam.config.datasets import ManiskillConfig
 from jaxcam.data.demos import Demo
-from jaxcam.data.hdf5 import open_hdf5, require_file
+from jaxcam.data.hdf5 import (
+    array_at,
+    check_total,
+    group_at,
+    numbers,
+    open_hdf5,
+    require_file,
+    whole,
+)
 from jaxcam.errors import DatasetError, JaxcamError, closest
 from jaxcam.files.paths import home
-from jaxcam.interop.maniskill_actions import grip_targets, gripper_signs
+from jaxcam.interop.maniskill_actions import (
+    check_mode,
+    grip_targets,
+    gripper_signs,
+)
 from jaxcam.rays.rotations import quaternion_from_matrix, rotvec_from_matrix
 from jaxcam.sim import make_task
 from jaxcam.sim.controllers import CONTROL_HZ
@@ -48,8 +60,24 @@ variants, ours."""
 ROOT, POSE = 13, 7
 """Lengths of what stands before the joints in an articulation's state (pose and velocities of its
 root), and of the pose in an actor's, before its velocities."""
+REMEDY = "Download or record it again."
+"""What to do with a file that is damaged."""
+LARGEST_JSON = 1 << 26
+"""Bytes of the JSON file: a thousand episodes have 1 MB."""
+TYPO = 0.85
+"""Likeness of an environment's name from which one of ours was meant: PickCube is not PushCube."""
 SAME = 1e-3
 """Difference (m, and of quaternions) up to which two poses of the robot's base are the same."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """A trajectory, as the JSON file lists it."""
+
+    name: str
+    """Of its group in the HDF5 file."""
+    mode: str
+    """Control mode that it was recorded in."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +88,7 @@ class TrajectoryFile:
     env: str
     task: ManiSkillTask
     scene: SapienWorld
-    episodes: list[dict[str, Any]]
+    episodes: list[Episode]
     about: str
     """Where the demonstrations come from, for the header."""
 
@@ -79,34 +107,56 @@ def read_source(config: ManiskillConfig) -> TrajectoryFile:
         "no such file. ManiSkill writes it beside the trajectories; without it their task is not "
         "known.",
     )
+    if about.stat().st_size > LARGEST_JSON:
+        raise DatasetError(f"{about}: {about.stat().st_size} bytes; expected a list of episodes.")
     try:
-        told = json.loads(about.read_text())
-        env, episodes = str(told["env_info"]["env_id"]), list(told["episodes"])
-        settings = dict(told["env_info"].get("env_kwargs") or {})
+        said = json.loads(about.read_text())
+        env, listed = str(said["env_info"]["env_id"]), list(said["episodes"])
+        settings = dict(said["env_info"].get("env_kwargs") or {})
+        hz = dict(settings.get("sim_config") or {}).get("control_freq", CONTROL_HZ)
     except OSError as error:
         raise DatasetError(f"{about}: cannot be read: {error.strerror or error}.") from error
-    except (KeyError, TypeError, ValueError) as error:
+    except (AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
         raise DatasetError(
-            f"{about}: not what ManiSkill writes beside trajectories: {error!r}. Expected env_info "
-            "with env_id, and episodes."
+            f"{about}: not what ManiSkill writes beside trajectories. Expected env_info with "
+            "env_id, and episodes."
         ) from error
     if env not in ENVIRONMENTS:
         raise DatasetError(
-            f"{path}: trajectories of {env!r}{closest(env, ENVIRONMENTS)}. Others cannot be "
+            f"{path}: trajectories of {env!r}{closest(env, ENVIRONMENTS, TYPO)}. Others cannot be "
             "replayed in our tasks."
         )
-    hz = (settings.get("sim_config") or {}).get("control_freq", CONTROL_HZ)
     if hz != CONTROL_HZ:
         raise DatasetError(
             f"{path}: recorded at {hz} control steps a second; ours take {CONTROL_HZ}."
         )
-    if not episodes:
+    if not listed:
         raise DatasetError(f"{about}: no episodes.")
+    episodes = [_episode(about, i, entry) for i, entry in enumerate(listed)]
     task: Any = make_task(ENVIRONMENTS[env])
-    source = told.get("source_type") or "unknown source"
+    source = str(said.get("source_type") or "unknown source")[:40]
     return TrajectoryFile(
         path, env, task, task.scene(config.scene), episodes, f"{path.name}: {env}, {source}"
     )
+
+
+def _episode(about: Path, index: int, entry: Any) -> Episode:
+    """An entry of the JSON file's episodes."""
+    entry = entry if isinstance(entry, dict) else {}
+    number, mode = entry.get("episode_id"), entry.get("control_mode")
+    where = f"{about}: episodes[{index}]"
+    if not isinstance(number, int) or isinstance(number, bool) or number < 0:
+        raise DatasetError(f"{where}: episode_id {number!r}; expected a whole number.")
+    if not isinstance(mode, str):
+        raise DatasetError(
+            f"{where} (traj_{number}): control_mode {mode!r}; expected its name. Without it "
+            "nobody knows what the actions mean."
+        )
+    try:
+        check_mode(mode)
+    except DatasetError as error:
+        raise DatasetError(f"{where} (traj_{number}): {error}") from error
+    return Episode(f"traj_{number}", mode)
 
 
 def open_file(path: Path) -> h5py.File:
@@ -115,7 +165,30 @@ def open_file(path: Path) -> h5py.File:
     Raises:
         DatasetError: If it cannot be.
     """
-    return open_hdf5(path, remedy="Download or record it again.")
+    return open_hdf5(path, remedy=REMEDY)
+
+
+def check_sizes(source: TrajectoryFile, file: h5py.File) -> None:
+    """Refuses more numbers than the file can hold, before any is read.
+
+    Raises:
+        DatasetError: They are more.
+    """
+    declared = 0
+
+    def add(_: str, array: Any) -> None:
+        nonlocal declared
+        declared += array.nbytes if isinstance(array, h5py.Dataset) else 0
+
+    with whole(source.path, REMEDY):
+        for episode in source.episodes:
+            if isinstance(group := file.get(episode.name), h5py.Group):
+                for part in ("env_states", "actions"):
+                    if isinstance(within := group.get(part), h5py.Group):
+                        within.visititems(add)
+                    else:
+                        add(part, within)
+        check_total(source.path, declared)
 
 
 def read_demo(source: TrajectoryFile, file: h5py.File, name: str, mode: str, seed: int) -> Demo:
@@ -132,18 +205,22 @@ def read_demo(source: TrajectoryFile, file: h5py.File, name: str, mode: str, see
         DatasetError: If something is missing or wrong; names file and trajectory.
     """
     try:
-        group: Any = file[name]
-        return _convert(source, group["env_states"], group["actions"][:], mode, seed)
-    except KeyError as error:
-        raise DatasetError(
-            f"{source.path}: {name}: {error.args[0]}. A replay needs all trajectories of the .json "
-            "file, with actions and environment states (RecordEpisode's record_env_state); a file "
-            "without states is given them by mani_skill.trajectory.replay_trajectory."
-        ) from error
+        with whole(source.path, REMEDY, name):
+            missing = [part for part in (name, f"{name}/env_states", f"{name}/actions")
+                       if part not in file]  # fmt: skip
+            if missing:
+                raise DatasetError(
+                    f"no {missing[0]!r}. A replay needs all trajectories of the .json file, with "
+                    "actions and environment states (RecordEpisode's record_env_state); a file "
+                    "without states is given them by mani_skill.trajectory.replay_trajectory."
+                )
+            group = group_at(file, name)
+            states = group_at(group, "env_states")
+            return _convert(source, states, numbers(group, "actions"), mode, seed)
     except JaxcamError as error:
+        if str(error).startswith(f"{source.path}: "):
+            raise
         raise DatasetError(f"{source.path}: {name}: {error}") from error
-    except (OSError, RuntimeError) as error:
-        raise DatasetError(f"{source.path}: {name}: damaged ({error}).") from error
 
 
 def _convert(
@@ -151,10 +228,11 @@ def _convert(
 ) -> Demo:
     """A recorded episode in our world: T actions and T + 1 states."""
     scene, task = source.scene, source.task
-    robot = _robot(states["articulations"])
+    robot = _robot(group_at(states, "articulations"))
     _check_base(robot[0], scene.world_from_base)
     joints, joint_speeds = robot[:, ROOT : ROOT + JOINTS], robot[:, ROOT + JOINTS :]
-    actors = [np.asarray(states["actors"][name], float) for name in scene.objects]
+    everything = group_at(states, "actors")
+    actors = [_actor(everything, name, len(robot)) for name in scene.objects]
     qpos = np.concatenate([joints, *(actor[:, :POSE] for actor in actors)], -1)
     qvel = np.concatenate([joint_speeds, *(actor[:, POSE:] for actor in actors)], -1)
     if len(actions) < 1 or actions.ndim != 2 or len(qpos) != len(actions) + 1:
@@ -165,9 +243,9 @@ def _convert(
         raise DatasetError("states or actions that are not finite numbers.")
     fixtures = task.start(scene, seed).fixtures
     for row, name in enumerate(scene.markers, start=2):
-        fixtures[row] = states["actors"][name][0, :POSE]
+        fixtures[row] = _actor(everything, name, len(robot))[0, :POSE]
     position, rotation, _ = kinematics.forward(joints[:, :7])
-    targets = grip_targets(mode, actions.astype(float), joints[:, :7])
+    targets = grip_targets(mode, actions, joints[:, :7])
     position, rotation = _in_world(scene, position, rotation)
     aim, aim_rotation = _in_world(scene, *targets)
     gripper = gripper_signs(actions)
@@ -185,8 +263,8 @@ def _convert(
 
 def why_failed(source: TrajectoryFile, file: Any, name: str) -> str:
     """Why a trajectory reaches success in none of its states."""
-    flags = file[name].get("success")
-    if flags is None or not np.any(flags):
+    flags = numbers(file[name], "success") if "success" in file[name] else np.zeros(1)
+    if not flags.any():
         return "failed when it was recorded"
     return (
         f"a success for {source.env}, but in no recorded state for {source.task.name}: "
@@ -194,14 +272,22 @@ def why_failed(source: TrajectoryFile, file: Any, name: str) -> str:
     )
 
 
-def _robot(articulations: Any) -> np.ndarray:
+def _robot(articulations: h5py.Group) -> np.ndarray:
     """States [T + 1, 31] of the Panda."""
-    names = [name for name in articulations if name.startswith("panda")]
+    names = [name for name in articulations if str(name).startswith("panda")]
     size = ROOT + 2 * JOINTS
-    if len(names) != 1 or articulations[names[0]].shape[1:] != (size,):
-        found = {name: articulations[name].shape for name in articulations}
-        raise DatasetError(f"robots {found}, expected one Panda with states [T + 1, {size}].")
-    return np.asarray(articulations[names[0]], float)
+    if len(names) != 1 or array_at(articulations, str(names[0])).shape[1:] != (size,):
+        shapes = {str(name): array_at(articulations, str(name)).shape for name in articulations}
+        raise DatasetError(f"robots {shapes}, expected one Panda with states [T + 1, {size}].")
+    return numbers(articulations, str(names[0]))
+
+
+def _actor(actors: h5py.Group, name: str, count: int) -> np.ndarray:
+    """Poses and velocities of an object [T + 1, 13]."""
+    found = numbers(actors, name)
+    if found.shape != (count, ROOT):
+        raise DatasetError(f"actor {name!r} has states {found.shape}, expected {(count, ROOT)}.")
+    return found
 
 
 def _check_base(state: np.ndarray, world_from_base: np.ndarray) -> None:

@@ -7,6 +7,7 @@ trains as a collected dataset does: `python -m jaxcam.train --dataset`.
 
 import contextlib
 import json
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,19 +21,27 @@ from jaxcam.config.datasets import RobomimicConfig
 from jaxcam.config.names import TaskName
 from jaxcam.console.progress import progress
 from jaxcam.data.demos import Demo, Demos
-from jaxcam.data.hdf5 import open_hdf5, whole
-from jaxcam.data.replay import replay_all
-from jaxcam.data.splits import FIRST_SEED
-from jaxcam.errors import ConfigError, DatasetError, closest
-from jaxcam.files.paths import home
-from jaxcam.interop.importing import succeeds, write_dataset
-from jaxcam.interop.robosuite_model import (
-    Controller,
-    Origin,
-    grip_poses,
-    read_controller,
-    read_origin,
+from jaxcam.data.hdf5 import (
+    array_at,
+    check_total,
+    group_at,
+    numbers,
+    open_hdf5,
+    text,
+    whole,
 )
+from jaxcam.data.replay import falls_short, replay_all
+from jaxcam.data.splits import FIRST_SEED
+from jaxcam.errors import ConfigError, DatasetError
+from jaxcam.files.paths import home
+from jaxcam.interop.importing import Masks, show_next, succeeds, write_dataset
+from jaxcam.interop.robosuite_commands import (
+    Controller,
+    disagreement,
+    gripper_agrees,
+    read_controller,
+)
+from jaxcam.interop.robosuite_model import GripPath, Origin, grip_path, read_origin
 from jaxcam.rays.rotations import rotvec_from_matrix
 from jaxcam.sim import make_task
 from jaxcam.sim.controllers import CONTROL_HZ, gripper_command
@@ -68,28 +77,32 @@ class DemonstrationFile:
     """None where commands come from states."""
     train: list[str]
     valid: list[str]
+    count: int
+    """Demonstrations that the file has."""
     about: str
     """Where the demonstrations come from, for the header."""
 
     def demo(self, name: str, task: Task, scene: Scene, seed: int) -> Demo:
         """One demonstration, without cameras; names file and demonstration in errors."""
-        data: Any = self.file["data"]
-        group = data[name]
+        where = f"data/{name}"
         try:
-            states = group["states"][:]
-            xml = str(group.attrs["model_file"])
-            actions = np.asarray(group["actions"]) if "actions" in group else None
+            with whole(self.path, REMEDY, where):
+                group = group_at(group_at(self.file, "data"), name)
+                if "states" not in group or "model_file" not in group.attrs:
+                    missing = "model_file" if "states" in group else "states"
+                    raise DatasetError(
+                        f"no {missing!r}. A replay needs the simulator's states and the "
+                        "model_file attribute: use the file as robomimic hosts it (low_dim or "
+                        "demo), not one reduced to observations."
+                    )
+                states = numbers(group, "states")
+                actions = numbers(group, "actions") if "actions" in group else None
+                xml = text(group, "model_file")
             return _convert(states, actions, xml, self.controller, task, scene, seed)
-        except KeyError as error:
-            raise DatasetError(
-                f"{self.path}: data/{name}: no {error.args[0]!r}. A replay needs the simulator's "
-                "states and the model_file attribute: use the file as robomimic hosts it "
-                "(low_dim or demo), not one reduced to observations."
-            ) from error
         except DatasetError as error:
-            raise DatasetError(f"{self.path}: data/{name}: {error}") from error
-        except (OSError, RuntimeError) as error:
-            raise DatasetError(f"{self.path}: data/{name}: damaged ({error}). {REMEDY}") from error
+            if str(error).startswith(f"{self.path}: "):
+                raise
+            raise DatasetError(f"{self.path}: {where}: {error}") from error
 
 
 def import_demos(config: RobomimicConfig, console: Console | None = None) -> Demos:
@@ -112,6 +125,11 @@ def import_demos(config: RobomimicConfig, console: Console | None = None) -> Dem
         raise ConfigError(f"{config.task} is not one of robosuite's tasks, but the file is of one.")
     with _source(config) as source:
         names = source.train + source.valid
+        if console and config.filter_key is None and len(names) < source.count:
+            console.print(
+                f"{source.path}: {source.count - len(names)} of {source.count} demonstrations are "
+                "neither in mask/train nor in mask/valid: they are left out."
+            )
         with progress(console, "importing", len(names)) as advance:
 
             def converted() -> Iterator[Demo]:
@@ -152,14 +170,16 @@ def _source(config: RobomimicConfig) -> Iterator[DemonstrationFile]:
 
 def _environment(path: Path, file: h5py.File) -> tuple[str, dict[str, Any]]:
     """Name of the environment that a file was recorded in, and what env_args says of it."""
-    data: Any = file.get("data")
+    data = file.get("data")
     try:
-        env = json.loads(data.attrs["env_args"])
-        name, _ = str(env["env_name"]), dict(env.get("env_kwargs", {}))
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        if not isinstance(data, h5py.Group):
+            raise TypeError("no group data")
+        env = json.loads(text(data, "env_args"))
+        name, _ = str(env["env_name"]), dict(env.get("env_kwargs") or {})
+    except (AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
         raise DatasetError(
             f"{path}: not in robomimic's layout: no attribute env_args (JSON) on group data; found "
-            f"{sorted(file)}. robosuite's own recordings are turned into it by robomimic's "
+            f"{sorted(file)[:20]}. robosuite's own recordings are turned into it by robomimic's "
             "convert_robosuite.py."
         ) from error
     return name, env
@@ -167,18 +187,28 @@ def _environment(path: Path, file: h5py.File) -> tuple[str, dict[str, Any]]:
 
 def _read_source(path: Path, file: h5py.File, config: RobomimicConfig) -> DemonstrationFile:
     name, env = _environment(path, file)
-    settings = dict(env.get("env_kwargs", {}))
+    settings = dict(env.get("env_kwargs") or {})
     _check_environment(path, name, settings, config.task)
     controller = None
-    if config.actions == "commands":
+    if config.actions != "states":
         try:
-            controller = read_controller(settings.get("controller_configs") or {})
+            controller = read_controller(settings.get("controller_configs"), config.actions)
         except DatasetError as error:
             raise DatasetError(f"{path}: {error} Import with --actions states.") from error
-    train, valid = _split(path, file, config)
-    version = env.get("env_version", "of unknown version")
+    everything = _numbered(file)
+    train, valid = Masks.of(path, file, everything).split(config.filter_key, config.validation)
+    version = str(env.get("env_version", "of unknown version"))[:40]
     about = f"{path.name}: {name} of robosuite {version}, {config.actions}"
-    return DemonstrationFile(path, file, controller, train, valid, about)
+    _check_sizes(path, file, train + valid)
+    return DemonstrationFile(path, file, controller, train, valid, len(everything), about)
+
+
+def _check_sizes(path: Path, file: h5py.File, demos: list[str]) -> None:
+    """Refuses more numbers than the file can hold, before any is read."""
+    data = group_at(file, "data")
+    groups = [group_at(data, name) for name in demos]
+    arrays = [(group, name) for group in groups for name in ("states", "actions") if name in group]
+    check_total(path, sum(array_at(group, name).nbytes for group, name in arrays))
 
 
 def _check_environment(path: Path, name: str, settings: dict[str, Any], task: str) -> None:
@@ -197,41 +227,11 @@ def _check_environment(path: Path, name: str, settings: dict[str, Any], task: st
         )
 
 
-def _split(path: Path, file: h5py.File, config: RobomimicConfig) -> tuple[list[str], list[str]]:
-    """Names of the training and of the validation demonstrations."""
-    names = _numbered(file)
-    if config.filter_key is not None:
-        members = _members(path, file, config.filter_key)
-        names = [n for n in names if n in members]
-    masks: Any = file.get("mask", {})
-    if config.validation is None and "valid" in masks:
-        members = _members(path, file, "valid")
-        valid = [n for n in names if n in members]
-    else:
-        count = len(names) // 10 if config.validation is None else config.validation
-        valid = names[max(len(names) - count, 0) :]
-    train = [n for n in names if n not in valid]
-    if not train:
-        raise DatasetError(
-            f"{path}: {len(names)} demonstrations, {len(valid)} of them for validation: none is "
-            "left to train on. Choose another --filter-key or a smaller --validation."
-        )
-    return train, valid
-
-
 def _numbered(file: h5py.File) -> list[str]:
     """Names of the file's demonstrations, by their number."""
-    data: Any = file["data"]
-    names = [name for name in data if name.removeprefix("demo_").isdigit()]
-    return sorted(names, key=lambda name: int(name.removeprefix("demo_")))
-
-
-def _members(path: Path, file: h5py.File, mask: str) -> set[str]:
-    """Names of the demonstrations that an entry of the file's `mask` lists."""
-    masks: Any = file.get("mask", {})
-    if mask not in masks:
-        raise DatasetError(f"{path}: no filter key {mask!r}{closest(mask, masks)}")
-    return {n.decode() if isinstance(n, bytes) else str(n) for n in masks[mask][:]}
+    everything = map(str, group_at(file, "data"))
+    found = [name for name in everything if re.fullmatch("demo_[0-9]{1,9}", name)]
+    return sorted(found, key=lambda name: int(name.removeprefix("demo_")))
 
 
 def _convert(
@@ -248,11 +248,13 @@ def _convert(
         raise DatasetError(f"states {states.shape}: two or more rows of finite numbers are needed.")
     if actions is not None and actions.shape != (len(states), 7):
         raise DatasetError(f"actions {actions.shape}, expected {(len(states), 7)}: one per state.")
+    if actions is not None and not np.isfinite(actions).all():
+        raise DatasetError("actions that are not finite numbers.")
     origin = read_origin(xml, states[0], scene, task.varied)
     qpos, qvel = origin.carry(states)
-    position, rotation = grip_poses(scene, qpos)
-    gripper = _gripper(qpos[:, scene.fingers], actions)
-    targets = _targets(controller, actions, origin, position, rotation)
+    path = grip_path(scene, qpos, qvel)
+    gripper = _gripper(qpos[:, scene.fingers], actions, controller)
+    targets = _targets(controller, actions, origin, path)
     closed = [0.0]
     for sign in gripper:
         closed.append(float(gripper_command(np.array(closed[-1]), sign)))
@@ -262,33 +264,42 @@ def _convert(
         qpos=qpos,
         qvel=qvel,
         actions=np.column_stack([targets, gripper]),
-        grip_position=position,
-        grip_rotation=rotation,
+        grip_position=path.position,
+        grip_rotation=path.rotation,
         gripper=np.array(closed),
     )
 
 
 def _targets(
-    controller: Controller | None,
-    actions: np.ndarray | None,
-    origin: Origin,
-    position: np.ndarray,
-    rotation: np.ndarray,
+    controller: Controller | None, actions: np.ndarray | None, origin: Origin, path: GripPath
 ) -> np.ndarray:
     """Absolute grip targets of all states but the last [T - 1, 6]."""
     if controller is None:
-        ahead = np.minimum(np.arange(len(position) - 1) + LEAD, len(position) - 1)
-        return np.concatenate([position, rotvec_from_matrix(rotation)], -1)[ahead]
+        last = len(path.position) - 1
+        ahead = np.minimum(np.arange(last) + LEAD, last)
+        return np.concatenate([path.position, rotvec_from_matrix(path.rotation)], -1)[ahead]
     if actions is None:
         raise DatasetError("no 'actions'. Import with --actions states.")
-    return controller.targets(actions[:, :6], origin, position, rotation)[:-1]
+    if doubt := disagreement(controller, actions[:, :6], origin, path):
+        raise DatasetError(doubt)
+    return controller.targets(actions[:, :6], origin, path)[:-1]
 
 
-def _gripper(fingers: np.ndarray, actions: np.ndarray | None) -> np.ndarray:
+def _gripper(
+    fingers: np.ndarray, actions: np.ndarray | None, controller: Controller | None
+) -> np.ndarray:
     """Signs of the gripper's command of all states but the last; from the opening if need be."""
+    opening = np.abs(fingers).sum(-1)
     if actions is not None:
-        return np.sign(actions[:-1, 6])
-    moves = np.diff(np.abs(fingers).sum(-1))
+        signs = np.sign(actions[:-1, 6])
+        if gripper_agrees(signs, opening):
+            return signs
+        if controller is not None:
+            raise DatasetError(
+                "its fingers open where commands close them: in robosuite positive closes. Import "
+                "with --actions states, which takes the gripper's command from its fingers."
+            )
+    moves = np.diff(opening)
     signs, last = np.empty(len(moves)), -1.0
     for t, move in enumerate(moves):
         if abs(move) > STILL:
@@ -311,8 +322,8 @@ def success_of(demos: Demos, console: Console | None = None) -> tuple[np.ndarray
     return recorded, replayed
 
 
-def main(config: RobomimicConfig, console: Console) -> None:
-    """Runs the command."""
+def main(config: RobomimicConfig, console: Console) -> int:
+    """Runs the command; its exit code."""
     demos = import_demos(config, console)
     recorded, replayed = success_of(demos, console)
     console.print(
@@ -323,4 +334,5 @@ def main(config: RobomimicConfig, console: Console) -> None:
     failed = ", ".join(f"demo_{i}" for i in np.flatnonzero(~replayed))
     if failed:
         console.print(f"Not replayed to success (numbers of the new file): {failed}")
-    console.print(f"Train on it: python -m jaxcam.train --dataset {demos.path}", soft_wrap=True)
+    show_next(demos, bool(replayed.any()), console)
+    return int(falls_short({"eef_abs": replayed}))

@@ -1,14 +1,15 @@
-"""What a robosuite demonstration says of itself: its MuJoCo model and its controller.
+"""What a robosuite demonstration says of its world: its MuJoCo model.
 
 States are arrays in the order of the model that recorded them, and robosuite's versions differ in
 names, tables and where the robot stands. `Origin` maps states onto a scene of ours by the joints'
-names and the pose of the robot's base; `Controller` turns the actions of robosuite's OSC_POSE into
-absolute targets (control laws of robosuite 1.4.1 and 1.5.2, `controllers/.../osc.py`).
+names and the pose of the robot's base. The model is text that anybody may have written: only its
+bodies, joints and shapes are read, and MuJoCo opens no file for it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -17,17 +18,21 @@ from jaxcam.errors import DatasetError
 from jaxcam.rays import invert
 from jaxcam.rays.rotations import (
     matrix_from_quaternion,
-    matrix_from_rotvec,
     quaternion_from_matrix,
-    rotvec_from_matrix,
 )
-from jaxcam.sim.controllers import OSC_KP
 from jaxcam.sim.mujoco.scene import TABLE_TOP, Scene
 
 TABLE_TOLERANCE = 0.002
 """Largest difference (m) of the table's height against the robot that a replay forgives."""
 GRIP_TOLERANCE = 0.001
 """Largest distance (m) between the grip site in the recorded model and in the scene."""
+MOST_ELEMENTS, DEEPEST = 20_000, 200
+"""Elements of a model, and how many inside each other: robosuite's have 300, and 20."""
+_BODIES = {"worldbody", "body", "frame", "inertial", "joint", "freejoint", "geom", "site"} | {
+    "camera",
+    "light",
+}
+_OF_FILES = (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF)
 
 
 @dataclass(frozen=True)
@@ -105,21 +110,70 @@ def read_origin(xml: str, state: np.ndarray, scene: Scene, varied: Sequence[str]
     return origin
 
 
+class _Bounded(ElementTree.TreeBuilder):
+    """Builds the tree of an XML text, unless it is far beyond a robot on a table."""
+
+    depth = count = 0
+
+    def start(self, tag: str, attrs: dict[str, str], /) -> ElementTree.Element:
+        self.depth, self.count = self.depth + 1, self.count + 1
+        if self.depth > DEEPEST or self.count > MOST_ELEMENTS:
+            raise DatasetError(
+                f"model_file has over {MOST_ELEMENTS} elements, or {DEEPEST} inside each other. It "
+                "is no model of a robot on a table."
+            )
+        return super().start(tag, attrs)
+
+    def end(self, tag: str, /) -> ElementTree.Element:
+        self.depth -= 1
+        return super().end(tag)
+
+    def doctype(self, name: str, pubid: str, system: str) -> None:
+        raise DatasetError("model_file declares a document type, which no MJCF has.")
+
+
 def _kinematics_of(xml: str) -> mujoco.MjModel:
     """The model without its meshes and colours, which lie on the machine that recorded it."""
     try:
-        spec = mujoco.MjSpec.from_string(xml)
+        spec = mujoco.MjSpec.from_string(_bodies_of(xml))
         for geom in list(spec.geoms):
-            geom.material = ""
-            if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
+            if geom.meshname or geom.hfieldname or geom.type in _OF_FILES:
                 spec.delete(geom)
-        for assets in (spec.meshes, spec.materials, spec.textures):
-            for asset in list(assets):
-                spec.delete(asset)
         spec.compiler.boundmass = spec.compiler.boundinertia = 1e-6  # only poses are asked of it
         return spec.compile()
-    except ValueError as error:
+    except (ValueError, ElementTree.ParseError, mujoco.FatalError) as error:
         raise DatasetError(f"model_file is no MJCF that this MuJoCo reads: {error}.") from error
+
+
+def _bodies_of(xml: str) -> str:
+    """A model reduced to bodies, joints and shapes: nothing that names files or grows.
+
+    Raises:
+        DatasetError: An element is not known to be one of these, or there are too many.
+    """
+    root = ElementTree.fromstring(xml, ElementTree.XMLParser(target=_Bounded()))
+    for part in list(root):
+        if part.tag in ("include", "extension"):
+            raise _not_allowed(part.tag)
+        if part.tag not in ("compiler", "default", "worldbody"):
+            root.remove(part)
+            continue
+        for element in part.iter():
+            if part.tag == "worldbody" and element.tag not in _BODIES:
+                raise _not_allowed(element.tag)
+            if element.tag in ("include", "plugin") or "plugin" in element.attrib:
+                raise _not_allowed(element.tag)
+            element.attrib.pop("material", None)
+            for child in [c for c in element if c.tag in ("camera", "light")]:
+                element.remove(child)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _not_allowed(tag: str) -> DatasetError:
+    return DatasetError(
+        f"model_file has an element {tag!r}. Only plain bodies are read of a recorded model, as "
+        "robosuite writes them: nothing that reads files, loads code or makes copies."
+    )
 
 
 def _named(model: mujoco.MjModel, kind: str, name: str) -> int:
@@ -166,7 +220,7 @@ def _check_table(model: mujoco.MjModel, data: mujoco.MjData, world_from_theirs: 
     table = _named(model, "geom", "table_collision")
     top = data.geom_xpos[table] + [0, 0, model.geom_size[table, 2]]
     height = float((world_from_theirs[:3, :3] @ top + world_from_theirs[:3, 3])[2])
-    if abs(height - TABLE_TOP) > TABLE_TOLERANCE:
+    if not abs(height - TABLE_TOP) <= TABLE_TOLERANCE:
         raise DatasetError(
             f"the table's top is {height - TABLE_TOP:+.3f} m off the scene's against the robot's "
             f"base; at most {TABLE_TOLERANCE} m was expected. Its objects would hover or sink."
@@ -179,109 +233,37 @@ def _check_grip(
     """Both models must put the gripper in the same place, or it is another robot."""
     site = _named(model, "site", "gripper0_right_grip_site")
     theirs = origin.world_from_theirs @ np.append(data.site_xpos[site], 1)
-    position, _ = grip_poses(scene, origin.carry(state[None])[0])
-    if (apart := float(np.linalg.norm(theirs[:3] - position[0]))) > GRIP_TOLERANCE:
+    ours = grip_path(scene, *origin.carry(state[None])).position[0]
+    if not (apart := float(np.linalg.norm(theirs[:3] - ours))) <= GRIP_TOLERANCE:
         raise DatasetError(
             f"its gripper is {apart:.3f} m from where the scene's robot has it with the same "
             "joint angles. It is another arm or gripper than robosuite's Panda."
         )
 
 
-def grip_poses(scene: Scene, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Positions [T, 3] and axes [T, 3, 3] of the grip site in the world."""
-    data = mujoco.MjData(scene.physics)
-    positions, rotations = np.empty((len(qpos), 3)), np.empty((len(qpos), 3, 3))
-    for t, q in enumerate(qpos):
-        data.qpos[:] = q
-        mujoco.mj_kinematics(scene.physics, data)
-        positions[t] = data.site_xpos[scene.grip_site]
-        rotations[t] = data.site_xmat[scene.grip_site].reshape(3, 3)
-    return positions, rotations
-
-
 @dataclass(frozen=True)
-class Controller:
-    """The OSC_POSE controller that a file's actions were given to."""
+class GripPath:
+    """The grip site in the scene's world, a row for each recorded state."""
 
-    input_range: np.ndarray
-    """Smallest and largest action [2, 6]."""
-    output_range: np.ndarray
-    """What these stand for (m, rad) [2, 6]."""
-    is_delta: bool
-    in_base: bool
-    """Whether actions are in the axes of the robot's base or in the world's."""
-    keeps_rotation: bool
-    """Whether a rotation of zero keeps the orientation asked for last, as in robosuite 1.4."""
-
-    def targets(
-        self, actions: np.ndarray, origin: Origin, position: np.ndarray, rotation: np.ndarray
-    ) -> np.ndarray:
-        """Absolute targets (m, rotation vector; the scene's world) [T, 6].
-
-        Args:
-            actions: Of the arm [T, 6].
-            origin: Of the demonstration.
-            position: Measured grip site (m; the scene's world) [T, 3].
-            rotation: Its axes [T, 3, 3].
-        """
-        frame = origin.world_from_theirs.copy()
-        if self.in_base:
-            frame = frame @ origin.theirs_from_controller
-        axes = frame[:3, :3]
-        if not self.is_delta:
-            goal = axes @ matrix_from_rotvec(actions[:, 3:])
-            place = actions[:, :3] @ axes.T + frame[:3, 3]
-            return np.concatenate([place, rotvec_from_matrix(goal)], -1)
-        (low, high), (least, most) = self.input_range, self.output_range
-        share = (np.clip(actions, low, high) - low) / (high - low)
-        moves = least + share * (most - least)
-        turn = axes @ matrix_from_rotvec(moves[:, 3:]) @ axes.T
-        goal = turn @ rotation
-        if self.keeps_rotation:
-            kept = rotation[0]
-            for t, still in enumerate(np.isclose(moves[:, 3:], 0, rtol=0, atol=1e-12).all(-1)):
-                kept = goal[t] = kept if still else goal[t]
-        return np.concatenate([position + moves[:, :3] @ axes.T, rotvec_from_matrix(goal)], -1)
+    position: np.ndarray
+    """(m) [T, 3]."""
+    rotation: np.ndarray
+    """Its axes [T, 3, 3]."""
+    velocity: np.ndarray
+    """Of its place (m/s) and turning (rad/s; the world's axes) [T, 6]."""
 
 
-def read_controller(settings: Mapping[str, Any] | Sequence[Any]) -> Controller:
-    """Reads `controller_configs` of robosuite 1.4 (one arm's) or 1.5 (of body parts).
-
-    Raises:
-        DatasetError: If the actions are no OSC_POSE targets that ours would follow alike.
-    """
-    part: Any = settings[0] if isinstance(settings, Sequence) and settings else settings
-    is_composite = isinstance(part, Mapping) and "body_parts" in part
-    if is_composite:
-        parts = part["body_parts"]
-        part = parts.get("arms", parts).get("right", {})
-    if not isinstance(part, Mapping):
-        raise DatasetError("env_args names no controller.")
-    damping = part.get("damping_ratio", part.get("damping", 1))
-    found = {
-        "type": part.get("type"),
-        "impedance_mode": part.get("impedance_mode", "fixed"),
-        "kp": part.get("kp", OSC_KP),
-        "damping_ratio": damping,
-    }
-    wanted = {"type": "OSC_POSE", "impedance_mode": "fixed", "kp": OSC_KP, "damping_ratio": 1}
-    wrong = [k for k, v in wanted.items() if not np.all(np.asarray(found[k]) == v)]
-    if wrong:
-        raise DatasetError(
-            "its actions were given to a controller of "
-            + ", ".join(f"{k} {found[k]!r} (expected {wanted[k]!r})" for k in wrong)
-            + "."
-        )
-    return Controller(
-        input_range=_range(part, "input", 1.0),
-        output_range=_range(part, "output", [0.05, 0.05, 0.05, 0.5, 0.5, 0.5]),
-        is_delta=part.get("input_type", "delta") == "delta" and part.get("control_delta", True),
-        in_base=is_composite and part.get("input_ref_frame", "base") == "base",
-        keeps_rotation=not is_composite,
-    )
-
-
-def _range(part: Mapping[str, Any], which: str, most: Any) -> np.ndarray:
-    high = np.broadcast_to(np.asarray(part.get(f"{which}_max", most), float), 6)
-    low = np.broadcast_to(np.asarray(part.get(f"{which}_min", np.negative(most)), float), 6)
-    return np.stack([low, high])
+def grip_path(scene: Scene, qpos: np.ndarray, qvel: np.ndarray) -> GripPath:
+    """Where the grip is, and how it moves, in states [T, nq] and [T, nv]."""
+    model, data = scene.physics, mujoco.MjData(scene.physics)
+    path = GripPath(*(np.empty((len(qpos), *shape)) for shape in ((3,), (3, 3), (6,))))
+    jacobian = np.empty((6, model.nv))
+    for t, (q, v) in enumerate(zip(qpos, qvel, strict=True)):
+        data.qpos[:] = q
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], scene.grip_site)
+        path.position[t] = data.site_xpos[scene.grip_site]
+        path.rotation[t] = data.site_xmat[scene.grip_site].reshape(3, 3)
+        path.velocity[t] = jacobian @ v
+    return path

@@ -131,7 +131,7 @@ def test_replay_takes_the_file_and_all_of_it_still_works(
     for space in ACTION_SPACES:
         assert f"{space} │ 2 of 2 │ 100.0%" in told
     data = read_demos(Path(f"data/{name}-randomized-{name}.hdf5"), task=name)
-    assert len(data.train) == 2
+    assert (len(data.train), len(data.valid)) == (1, 1)
     assert ("traj_2: failed when it was recorded" in told) == (name == "push")
 
 
@@ -242,6 +242,35 @@ def mistold(path):
     path.with_suffix(".json").write_text('{"episodes": []}')
 
 
+def changed(name, array):
+    def spoil(path):
+        with h5py.File(path, "r+") as file:
+            del file[name]
+            file[name] = array
+
+    return spoil
+
+
+def linked(path):
+    with h5py.File(path, "r+") as file:
+        del file["traj_0/actions"]
+        file["traj_0/actions"] = h5py.ExternalLink("/etc/passwd", "/")
+
+
+def giant(path):
+    with h5py.File(path, "r+") as file:
+        del file["traj_0/actions"]
+        file.create_dataset("traj_0/actions", (1 << 40, 8), "f4", chunks=(64, 8))
+
+
+def episode(entry):
+    def spoil(path):
+        said = json.loads(path.with_suffix(".json").read_text())
+        path.with_suffix(".json").write_text(json.dumps({**said, "episodes": [entry]}))
+
+    return spoil
+
+
 def of_two_robots(path):
     with h5py.File(path, "r+") as file:
         file["traj_0/env_states/articulations/panda-1"] = np.zeros((6, 31))
@@ -255,12 +284,41 @@ def of_two_robots(path):
         (cut, {}, "made.h5: damaged or truncated .3000 bytes"),
         (without("traj_0/env_states"), {}, "traj_0: .*env_states.*record_env_state"),
         (without("traj_0"), {}, "traj_0: .*all trajectories of the .json"),
-        (without("traj_0/env_states/actors/cube"), {}, "traj_0: .*cube"),
+        (without("traj_0/env_states/actors/cube"), {}, "traj_0/env_states/actors: no 'cube'"),
         (with_nan, {}, "traj_0: .*not finite"),
         (of_two_robots, {}, "traj_0: robots .*panda-1.*expected one Panda"),
-        (None, {"env": "PickCube-v1"}, "trajectories of 'PickCube-v1'"),
+        (None, {"env": "PickCube-v1"}, r"trajectories of 'PickCube-v1'\. Known: PushCube-v1"),
         (None, {"env": "PushCube-v2"}, "did you mean 'PushCube-v1'"),
         (None, {"settings": {"sim_config": {"control_freq": 50}}}, "at 50 control steps"),
+        (None, {"mode": None}, r"episodes\[0\] \(traj_0\): control_mode None; expected its name"),
+        (
+            None,
+            {"mode": "pd_joint_po"},
+            "no control mode 'pd_joint_po', did you mean 'pd_joint_pos'",
+        ),
+        (None, {"settings": {"sim_config": [1]}}, "not what ManiSkill writes beside"),
+        (None, {"settings": "none"}, "not what ManiSkill writes beside"),
+        (
+            changed("traj_0/actions", np.zeros((5, 7))),
+            {},
+            "actions of 7 numbers; pd_joint_pos has 8",
+        ),
+        (changed("traj_0/actions", np.array(["a"] * 5, "S1")), {}, "actions: .*expected numbers"),
+        (changed("traj_0/actions", np.zeros((3, 8))), {}, "there must be one state more"),
+        (changed("traj_0/env_states", np.zeros(3)), {}, "traj_0/env_states: no group"),
+        (changed("traj_0/env_states/articulations/panda", np.zeros(6)), {}, "expected one Panda"),
+        (changed("traj_0/env_states/actors/cube", np.zeros((6, 10))), {}, "'cube' has states"),
+        (changed("traj_0/env_states/actors/cube", np.zeros((4, 13))), {}, "'cube' has states"),
+        (
+            changed("traj_0/env_states/actors/goal_region", np.zeros((6, 7))),
+            {},
+            "'goal_region' has",
+        ),
+        (linked, {}, "traj_0/actions is a link to another file"),
+        (giant, {}, "declare"),
+        (episode({"control_mode": "pd_joint_pos"}), {}, "episode_id None; expected a whole"),
+        (episode({"episode_id": "../0"}), {}, "episode_id '../0'; expected a whole number"),
+        (episode(3), {}, "episode_id None; expected a whole number"),
         (None, {"base": 0.1}, r"base is at \[-0.515.*in our task at \[-0.615"),
     ],
 )

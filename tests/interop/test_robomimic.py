@@ -1,6 +1,5 @@
 """Robomimic files of robosuite 1.4.1 and 1.5.2 (recorded: tests/golden/make_robomimic_lift.py)."""
 
-import json
 import re
 import subprocess
 import sys
@@ -10,7 +9,8 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
-from places import GOLDEN
+from robomimic_files import EPISODES, VERSIONS, imported, of_many, recorded, write
+from running import exit_code
 
 from jaxcam.checks.examine import examine
 from jaxcam.config.datasets import RobomimicConfig
@@ -20,7 +20,7 @@ from jaxcam.data.pictures import Pictures
 from jaxcam.data.samples import Layout
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.interop.robomimic import import_demos, success_of
-from jaxcam.interop.robosuite_model import read_controller, read_origin
+from jaxcam.interop.robosuite_model import read_origin
 from jaxcam.pipeline import like_its_dataset, train, training_data
 from jaxcam.rays.rotations import matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.runs.identity import resolve
@@ -28,39 +28,8 @@ from jaxcam.sim.actions import encode
 from jaxcam.sim.mujoco.native import NativeEngine
 from jaxcam.sim.types import Command
 
-VERSIONS = ("1.4", "1.5")
-EPISODES = 2
 CUBE, CUBE_QUATERNION, CUBE_VELOCITY = slice(10, 13), slice(13, 17), slice(26, 29)
 """Columns of the recorded states: time, 7 + 2 joints, cube, then their velocities."""
-
-
-def recorded(version):
-    """The recorded arrays, env_args decoded."""
-    arrays = dict(np.load(GOLDEN / f"robomimic_lift_{version}.npz"))
-    return {**arrays, "env_args": json.loads(str(arrays["env_args"]))}
-
-
-def write(path, parts, *, mask=None, leave_out=()):
-    """A file in robomimic's layout."""
-    with h5py.File(path, "w") as file:
-        data = file.create_group("data")
-        data.attrs["total"] = sum(len(parts[f"states_{i}"]) for i in range(EPISODES))
-        data.attrs["env_args"] = json.dumps(parts["env_args"])
-        for i in range(EPISODES):
-            demo = data.create_group(f"demo_{i}")
-            demo.attrs["num_samples"] = len(parts[f"states_{i}"])
-            if "model_file" not in leave_out:
-                demo.attrs["model_file"] = str(parts[f"model_{i}"])
-            for name in {"states", "actions"} - set(leave_out):
-                demo[name] = parts[f"{name}_{i}"]
-        for key, names in (mask or {}).items():
-            file[f"mask/{key}"] = np.array(names, "S8")
-    return path
-
-
-def imported(path, **settings):
-    out = path.with_name(f"out{len(list(path.parent.glob('out*')))}.hdf5")
-    return import_demos(RobomimicConfig(file=str(path), out=str(out), **settings))
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +50,7 @@ def test_real_episodes_succeed_as_recorded_and_replayed(files, version, actions)
 
 @pytest.mark.parametrize("version", VERSIONS)
 def test_replayed_commands_go_the_recorded_way(lift, files, version):
-    for demo in imported(files[version]).train:
+    for demo in imported(files[version], validation=0).train:
         scene = lift.scene("randomized")
         engine = NativeEngine(scene, varied=lift.varied)
         state = engine.reset(starts_of([demo]))
@@ -111,7 +80,7 @@ def test_states_sizes_and_cameras_are_carried_over(lift, files, version):
 
 
 def test_robosuite_14_keeps_the_orientation_where_no_rotation_is_asked(files):
-    for i, demo in enumerate(imported(files["1.4"]).train):
+    for i, demo in enumerate(imported(files["1.4"], validation=0).train):
         still = (recorded("1.4")[f"actions_{i}"][:-1, 3:6] == 0).all(-1)
         last = np.flatnonzero(~still)[-1]
         assert last < len(still) - 10
@@ -147,8 +116,10 @@ def turned(parts, version):
 
 @pytest.mark.parametrize("version", VERSIONS)
 def test_the_robots_base_may_stand_elsewhere(tmp_path, files, version):
-    here = imported(files[version])
-    there = imported(write(tmp_path / "turned.hdf5", turned(recorded(version), version)))
+    here = imported(files[version], validation=0)
+    there = imported(
+        write(tmp_path / "turned.hdf5", turned(recorded(version), version)), validation=0
+    )
     for a, b in zip(here.train, there.train, strict=True):
         np.testing.assert_allclose(b.states, a.states, atol=1e-9)
         np.testing.assert_allclose(b.eef_pos, a.eef_pos, atol=1e-9)
@@ -164,7 +135,7 @@ def test_absolute_actions_are_targets(tmp_path, lift, files, version):
     configs = parts["env_args"]["env_kwargs"]["controller_configs"]
     arm = configs if version == "1.4" else configs["body_parts"]["right"]
     arm |= {"control_delta": False} if version == "1.4" else {"input_type": "absolute"}
-    delta = imported(files[version]).train
+    delta = imported(files[version], validation=0).train
     scene = lift.scene("randomized")
     for i in range(EPISODES):
         origin = read_origin(str(parts[f"model_{i}"]), parts[f"states_{i}"][0], scene, lift.varied)
@@ -175,39 +146,22 @@ def test_absolute_actions_are_targets(tmp_path, lift, files, version):
         goal[:-1, 3:6] = rotvec_from_matrix(rotation)
         goal[:, 6] = parts[f"actions_{i}"][:, 6]
         parts[f"actions_{i}"] = goal
-    for a, b in zip(delta, imported(write(tmp_path / "a.hdf5", parts)).train, strict=True):
+    for a, b in zip(
+        delta, imported(write(tmp_path / "a.hdf5", parts), validation=0).train, strict=True
+    ):
         np.testing.assert_allclose(b.actions, a.actions, atol=1e-9)
     assert version == "1.4" or base[2, 3] > 0.5  # the frame of 1.5's base is not the world's
 
 
 def test_without_actions_the_fingers_tell_the_gripper(tmp_path, files):
-    told = imported(files["1.5"]).train
+    told = imported(files["1.5"], validation=0).train
     path = write(tmp_path / "states.hdf5", recorded("1.5"), leave_out=["actions"])
-    for a, b in zip(told, imported(path, actions="states").train, strict=True):
+    for a, b in zip(told, imported(path, actions="states", validation=0).train, strict=True):
         closes = [int(np.argmax(d.actions[:, 6] > 0)) for d in (a, b)]
         assert 0 <= closes[1] - closes[0] <= 1
         assert (b.actions[closes[1] :, 6] == 1).all()
     with pytest.raises(DatasetError, match=r"demo_0: no 'actions'. Import with --actions states"):
         imported(path)
-
-
-def test_masks_choose_demonstrations(tmp_path):
-    names = ["demo_0", "demo_1"]
-    mask = {"valid": names[:1], "train": names[1:], "better": names, "one": names[1:]}
-    path = write(tmp_path / "mask.hdf5", recorded("1.5"), mask=mask)
-    lengths = [len(recorded("1.5")[f"states_{i}"]) - 1 for i in range(EPISODES)]
-    for settings, train_lengths, valid_lengths in (
-        ({}, lengths[1:], lengths[:1]),
-        ({"filter_key": "better", "validation": 0}, lengths, []),
-        ({"filter_key": "one"}, lengths[1:], []),
-    ):
-        demos = imported(path, **settings)
-        assert [d.length for d in demos.train] == train_lengths
-        assert [d.length for d in demos.valid] == valid_lengths
-    with pytest.raises(DatasetError, match="no filter key 'beter', did you mean 'better'"):
-        imported(path, filter_key="beter")
-    with pytest.raises(DatasetError, match="none is left to train on"):
-        imported(path, validation=2)
 
 
 def change(parts, what):
@@ -308,20 +262,9 @@ def test_nothing_is_overwritten_and_a_half_import_begins_anew(tmp_path, files):
     assert not out.with_name("lift.hdf5.part").exists()
 
 
-def test_a_controller_of_older_robosuite_is_read():
-    arm = {"type": "OSC_POSE", "damping": 1, "kp": 150, "output_max": 0.1, "output_min": -0.1}
-    controller = read_controller([arm])
-    assert controller.keeps_rotation
-    assert controller.is_delta
-    assert not controller.in_base
-    np.testing.assert_array_equal(controller.output_range, [[-0.1] * 6, [0.1] * 6])
-    with pytest.raises(DatasetError, match="damping_ratio 2"):
-        read_controller({**arm, "damping": 2})
-
-
 def test_delta_actions_of_an_imported_demonstration_are_small(files):
     """They are differenced between commands, so they must not jump more than robosuite's do."""
-    for demo in imported(files["1.5"]).train:
+    for demo in imported(files["1.5"], validation=0).train:
         start = np.concatenate([demo.eef_pos[0], np.zeros(3)])
         moves = encode("eef_delta", demo.actions[:, :6], demo.actions[:, 6], start, np.eye(3))
         assert np.abs(moves[1:, :3]).max() < 0.05
@@ -367,3 +310,85 @@ def test_the_doctor_examines_a_file_as_it_would_be_imported(files, tmp_path):
     assert finding.mark == "bad"
     assert "data/demo_1: no " in finding.got
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_is_left_out_and_what_is_not_validated_is_said(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    of_many(tmp_path / "few.hdf5", 3, {"train": [0], "valid": [1]})
+    assert exit_code("robomimic", "few.hdf5") == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "1 of 3 demonstrations are neither in mask/train nor in mask/valid" in said
+    assert "No validation demonstrations" not in said
+    assert exit_code("robomimic", "few.hdf5", "--validation", 0, "--out", "all.hdf5") == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "No validation demonstrations: training on it gives no validation loss" in said
+    assert "Train on it" in said
+
+
+def test_what_fails_when_replayed_is_not_advised(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    parts = recorded("1.5")
+    for i in range(EPISODES):
+        for name in ("states", "actions"):
+            parts[f"{name}_{i}"] = parts[f"{name}_{i}"][:10]
+    assert exit_code("robomimic", write(tmp_path / "short.hdf5", parts)) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert "Do not train on it" in said
+    assert "Train on it" not in said
+
+
+def other_kind(file, what):
+    """One thing of another kind than it should be."""
+    match what:
+        case "mask":
+            file["mask"] = np.zeros(3)
+        case "members":
+            file["mask/train"] = np.arange(2)
+        case "states":
+            del file["data/demo_0/states"]
+            file["data/demo_0/states/inner"] = np.zeros(3)
+        case "text":
+            del file["data/demo_0/actions"]
+            file["data/demo_0/actions"] = np.array(["a"] * 5, "S1")
+        case "model":
+            file["data/demo_0"].attrs["model_file"] = np.arange(3)
+        case "demo":
+            del file["data/demo_0"]
+            file["data/demo_0"] = np.zeros(3)
+        case "actions":
+            file["data/demo_0/actions"][3, 2] = np.inf
+        case "env":
+            file["data"].attrs["env_args"] = "[" * 100_000
+        case "kwargs":
+            file["data"].attrs["env_args"] = '{"env_name": "Lift", "env_kwargs": [1]}'
+
+
+@pytest.mark.parametrize(
+    ("what", "message"),
+    [
+        ("mask", "mask: no group"),
+        ("members", "mask/train: int64.*expected a list of names"),
+        ("states", "data/demo_0/states: no dataset"),
+        ("text", "data/demo_0/actions: .*expected numbers"),
+        ("model", "data/demo_0: attribute 'model_file' is no text"),
+        ("demo", "data/demo_0: no group"),
+        ("actions", "data/demo_0: actions that are not finite"),
+        ("env", "not in robomimic's layout"),
+        ("kwargs", "not in robomimic's layout"),
+    ],
+)
+def test_parts_of_another_kind_are_told(tmp_path, what, message):
+    path = write(tmp_path / "bad.hdf5", recorded("1.5"))
+    with h5py.File(path, "r+") as file:
+        other_kind(file, what)
+    with pytest.raises(DatasetError, match=f"bad.hdf5: {message}"):
+        imported(path)
+
+
+def test_names_that_only_look_like_demonstrations_are_none(tmp_path):
+    path = write(tmp_path / "odd.hdf5", recorded("1.5"))
+    with h5py.File(path, "r+") as file:
+        for name in ("demo_²", "demo_٣", "7", "demo_", "demo_" + "9" * 5000):
+            file["data"].create_group(name)
+    demos = imported(path)
+    assert len(demos.episodes) == EPISODES

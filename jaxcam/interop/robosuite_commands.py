@@ -1,0 +1,273 @@
+"""What the actions of a robosuite demonstration ask for: absolute targets of its grip.
+
+`Controller` turns the actions of robosuite's OSC_POSE into targets (control laws of robosuite 1.4.1
+and 1.5.2, `controllers/.../osc.py`). What a file says of its controller may be wrong, though:
+absolute actions are often kept beside the `env_args` of deltas. Its states are the witness:
+`disagreement` holds where commands lead against where the arm went.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from jaxcam.errors import DatasetError
+from jaxcam.interop.robosuite_model import GripPath, Origin
+from jaxcam.rays.rotations import matrix_from_rotvec, rotvec_from_matrix
+from jaxcam.sim.controllers import CONTROL_HZ, OSC_KP
+
+Reading = Literal["commands", "deltas", "absolute"]
+"""How actions are read: as the file says, or as asked."""
+NOTABLE = (0.01, 0.1)
+"""Lead (m, rad) of a target over the grip from which a step says anything: below it, friction and
+gravity move the arm as much."""
+HEEDED = 0.55
+"""Median over the notable steps of how far the arm did what was asked: 1 is all of it, and half is
+what commands of twice the right size give. Recorded episodes of robosuite 1.4.1 and 1.5.2 have 0.73
+to 0.96."""
+STEPS = 5
+"""Notable steps below which there is no verdict."""
+STRAY = 0.01
+"""Way (m) of both fingers against their commands that is no doubt yet: they bounce."""
+_SPEED = np.sqrt(OSC_KP) / CONTROL_HZ
+_DECAY = np.exp(-_SPEED)
+_GAIN = 1 - (1 + _SPEED) * _DECAY
+"""What a critically damped arm at rest covers of its lead in one control step."""
+
+
+@dataclass(frozen=True)
+class Controller:
+    """The OSC_POSE controller that a file's actions were given to."""
+
+    input_range: np.ndarray
+    """Smallest and largest action [2, 6]."""
+    output_range: np.ndarray
+    """What these stand for (m, rad) [2, 6]."""
+    is_delta: bool
+    in_base: bool
+    """Whether actions are in the axes of the robot's base or in the world's."""
+    keeps_rotation: bool
+    """Whether a rotation of zero keeps the orientation asked for last, as in robosuite 1.4."""
+    position_limits: np.ndarray | None = None
+    """Box (m; the recorded world) that targets are clipped to [2, 3], as robosuite 1.4 does."""
+
+    def targets(self, actions: np.ndarray, origin: Origin, path: GripPath) -> np.ndarray:
+        """Absolute targets (m, rotation vector; the scene's world) [T, 6].
+
+        Args:
+            actions: Of the arm [T, 6].
+            origin: Of the demonstration.
+            path: Where the grip was before each action (the scene's world).
+        """
+        frame = origin.world_from_theirs.copy()
+        if self.in_base:
+            frame = frame @ origin.theirs_from_controller
+        axes = frame[:3, :3]
+        if self.is_delta:
+            place, goal = self._moved(actions, axes, path)
+        else:
+            place = actions[:, :3] @ axes.T + frame[:3, 3]
+            goal = axes @ matrix_from_rotvec(actions[:, 3:])
+        if self.position_limits is not None:
+            theirs = (place - frame[:3, 3]) @ axes
+            place = np.clip(theirs, *self.position_limits) @ axes.T + frame[:3, 3]
+        return np.concatenate([place, rotvec_from_matrix(goal)], -1)
+
+    def _moved(
+        self, actions: np.ndarray, axes: np.ndarray, path: GripPath
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Positions [T, 3] and axes [T, 3, 3] that deltas ask for."""
+        (low, high), (least, most) = self.input_range, self.output_range
+        share = (np.clip(actions, low, high) - low) / (high - low)
+        moves = least + share * (most - least)
+        turn = axes @ matrix_from_rotvec(moves[:, 3:]) @ axes.T
+        goal = turn @ path.rotation
+        if self.keeps_rotation:
+            kept = path.rotation[0]
+            for t, still in enumerate(np.isclose(moves[:, 3:], 0, rtol=0, atol=1e-12).all(-1)):
+                kept = goal[t] = kept if still else goal[t]
+        return path.position + moves[:, :3] @ axes.T, goal
+
+
+def disagreement(
+    controller: Controller, actions: np.ndarray, origin: Origin, path: GripPath
+) -> str:
+    """How the commands of a demonstration disagree with its states, and the way out; "" if not.
+
+    Args:
+        controller: As its actions are read.
+        actions: Of the arm [T, 6].
+        origin: Of the demonstration.
+        path: Where the grip was before each action (the scene's world).
+    """
+    follows, count = _followed(controller.targets(actions, origin, path), path)
+    if follows >= HEEDED:
+        return ""
+    other = replace(controller, is_delta=not controller.is_delta)
+    reading = {True: "deltas", False: "absolute poses"}
+    message = (
+        f"its commands, read as {reading[controller.is_delta]}, do not lead where its states go: "
+        f"in the median of {count} larger commands the arm does {follows:.0%} of what they ask."
+    )
+    if _followed(other.targets(actions, origin, path), path)[0] >= HEEDED:
+        return (
+            f"{message} As {reading[other.is_delta]} they do, whatever env_args says: import with "
+            f"--actions {'deltas' if other.is_delta else 'absolute'}."
+        )
+    return f"{message} Import with --actions states."
+
+
+def _followed(targets: np.ndarray, path: GripPath) -> tuple[float, int]:
+    """Share of what targets [T, 6] ask that the arm did, and steps that say so.
+
+    An arm without command goes on by its speed and is braked; what it moves beyond that is what a
+    command did, and that is `_GAIN` of the lead.
+    """
+    at, axes = path.position, path.rotation
+    coasting = path.velocity[:-1] / CONTROL_HZ * _DECAY
+    goals = matrix_from_rotvec(targets[:-1, 3:])
+    lead = np.concatenate(
+        [targets[:-1, :3] - at[:-1], rotvec_from_matrix(goals @ axes[:-1].mT)], -1
+    )
+    moved = np.concatenate([np.diff(at, axis=0), rotvec_from_matrix(axes[1:] @ axes[:-1].mT)], -1)
+    asked, done = (_GAIN * lead), (moved - coasting)
+    worst, steps = 1.0, 0
+    for part, least in zip((slice(0, 3), slice(3, 6)), NOTABLE, strict=True):
+        wanted, got = asked[:, part], done[:, part]
+        size = np.maximum(np.linalg.norm(wanted, axis=-1), np.linalg.norm(got, axis=-1))
+        notable = size > _GAIN * least
+        if notable.sum() < STEPS:
+            continue
+        share = (wanted * got).sum(-1)[notable] / size[notable] ** 2
+        follows = float(np.median(share))
+        clear = np.minimum(abs(wanted), abs(got)) > _GAIN * least / 2
+        backwards = ((wanted * got < 0) & clear).sum(0)
+        if (backwards >= STEPS).any() and (2 * backwards > clear.sum(0)).any():
+            follows = min(follows, 0.0)  # an axis that is turned around, the others being right
+        if follows < worst:
+            worst, steps = follows, int(notable.sum())
+    return worst, steps
+
+
+def gripper_agrees(signs: np.ndarray, opening: np.ndarray) -> bool:
+    """Whether fingers close where commands close.
+
+    Args:
+        signs: Of the gripper's commands, positive closes [T].
+        opening: Of both fingers (m) before each, and after the last [T + 1].
+    """
+    moves = np.diff(opening)
+    against = (moves * signs).clip(0).sum()
+    return bool(against <= max(STRAY, abs(moves).sum() / 2))
+
+
+def read_controller(settings: Any, reading: Reading = "commands") -> Controller:
+    """Reads `controller_configs` of robosuite 1.4 (one arm's) or 1.5 (of body parts).
+
+    Args:
+        settings: As JSON has them.
+        reading: Whether actions are deltas: as the settings say, or as asked.
+
+    Raises:
+        DatasetError: If the actions are no OSC_POSE targets that ours would follow alike.
+    """
+    is_list = isinstance(settings, Sequence) and not isinstance(settings, str)
+    part: Any = settings[0] if is_list and settings else settings
+    is_composite = isinstance(part, Mapping) and "body_parts" in part
+    if is_composite:
+        kind = part.get("type", "BASIC")
+        part = part["body_parts"]
+        for level in ("arms", "right"):
+            if isinstance(part, Mapping):
+                part = part.get(level, part if level == "arms" else None)
+        if kind != "BASIC":
+            raise DatasetError(f"a composite controller of type {kind!r}; expected 'BASIC'.")
+    if not isinstance(part, Mapping):
+        raise DatasetError("env_args names no controller.")
+    _check_law(part, is_composite)
+    is_delta = part.get("input_type", "delta") == "delta" and bool(part.get("control_delta", True))
+    return Controller(
+        input_range=_range(part, "input", 1.0),
+        output_range=_range(part, "output", [0.05, 0.05, 0.05, 0.5, 0.5, 0.5]),
+        is_delta=is_delta if reading == "commands" else reading == "deltas",
+        in_base=is_composite and part.get("input_ref_frame", "base") == "base",
+        keeps_rotation=not is_composite,
+        position_limits=_box(part.get("position_limits")),
+    )
+
+
+def _check_law(part: Mapping[str, Any], is_composite: bool) -> None:
+    """Refuses each setting by which the arm would do something else than ours with a target."""
+    gripper = part.get("gripper", {})
+    wanted: dict[str, tuple[Any, Any]] = {
+        "type": (part.get("type"), "OSC_POSE"),
+        "impedance_mode": (part.get("impedance_mode", "fixed"), "fixed"),
+        "kp": (part.get("kp", OSC_KP), OSC_KP),
+        "damping_ratio": (part.get("damping_ratio", part.get("damping", 1)), 1),
+        "uncouple_pos_ori": (part.get("uncouple_pos_ori", True), True),
+        "interpolation": (part.get("interpolation"), None),
+        "orientation_limits": (part.get("orientation_limits"), None),
+    }
+    if is_composite:  # robosuite 1.5 has limits among its settings, but not in its code
+        wanted["position_limits"] = (part.get("position_limits"), None)
+        kind = gripper.get("type", "GRIP") if isinstance(gripper, Mapping) else gripper
+        wanted["gripper"] = (kind, "GRIP")
+        if (frame := part.get("input_ref_frame", "base")) != "world":
+            wanted["input_ref_frame"] = (frame, "base")
+    if (kind := part.get("input_type", "delta")) != "absolute":
+        wanted["input_type"] = (kind, "delta")
+    wrong = [name for name, (value, right) in wanted.items() if not _is_all(value, right)]
+    if wrong:
+        raise DatasetError(
+            "its actions were given to a controller of "
+            + ", ".join(f"{k} {wanted[k][0]!r} (expected {wanted[k][1]!r})" for k in wrong)
+            + "."
+        )
+
+
+def _is_all(value: Any, right: Any) -> bool:
+    """Whether a setting is `right`, or a list of nothing else."""
+    if isinstance(value, list) and isinstance(right, int | float):
+        return bool(value) and all(_is_all(entry, right) for entry in value)
+    return not isinstance(value, list | dict) and value == right
+
+
+def _range(part: Mapping[str, Any], which: str, most: Any) -> np.ndarray:
+    """Smallest and largest of actions, or of what they stand for [2, 6]."""
+    high = _numbers(part, f"{which}_max", most)
+    low = _numbers(part, f"{which}_min", np.negative(most))
+    if (low > high).any() or (which == "input" and (low == high).any()):
+        raise DatasetError(
+            f"{which}_min {low.tolist()} is not below {which}_max {high.tolist()} in its "
+            "controller."
+        )
+    return np.stack([low, high])
+
+
+def _numbers(part: Mapping[str, Any], name: str, default: Any) -> np.ndarray:
+    """A setting that is a number or six of them [6]."""
+    value = part.get(name, default)
+    try:
+        found = np.asarray(value, float)
+    except (TypeError, ValueError):
+        found = np.array(np.nan)
+    if found.shape not in ((), (6,)) or not np.isfinite(found).all():
+        raise DatasetError(f"{name} {value!r} of its controller; expected a number, or six.")
+    return np.broadcast_to(found, 6)
+
+
+def _box(limits: Any) -> np.ndarray | None:
+    """Position limits (m) [2, 3], if there are any."""
+    if limits is None:
+        return None
+    try:
+        found = np.asarray(limits, float)
+    except (TypeError, ValueError):
+        found = np.array(np.nan)
+    if found.shape != (2, 3) or not np.isfinite(found).all() or (found[0] > found[1]).any():
+        raise DatasetError(
+            f"position_limits {limits!r} of its controller; expected the smallest and the largest "
+            "position, of three numbers each."
+        )
+    return found

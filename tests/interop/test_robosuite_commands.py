@@ -1,0 +1,187 @@
+"""Actions of robosuite's OSC_POSE: followed exactly, or refused whatever a file says."""
+
+import numpy as np
+import pytest
+from robomimic_files import EPISODES, VERSIONS, imported, recorded, write
+
+from jaxcam.checks.examine import examine
+from jaxcam.errors import DatasetError
+from jaxcam.interop.robosuite_commands import read_controller
+from jaxcam.interop.robosuite_model import grip_path, read_origin
+from jaxcam.rays.rotations import matrix_from_rotvec, rotvec_from_matrix
+from jaxcam.sim import make_task
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("robomimic")
+    return {v: write(folder / f"{v}.hdf5", recorded(v)) for v in VERSIONS}
+
+
+def absolute(parts, version):
+    """The recording with the targets of its deltas as actions, as `*_abs.hdf5` files have them."""
+    parts, task = dict(parts), make_task("lift")
+    scene = task.scene("randomized")
+    controller = read_controller(parts["env_args"]["env_kwargs"]["controller_configs"])
+    for i in range(EPISODES):
+        states, actions = parts[f"states_{i}"], parts[f"actions_{i}"].copy()
+        origin = read_origin(str(parts[f"model_{i}"]), states[0], scene, task.varied)
+        targets = controller.targets(
+            actions[:, :6], origin, grip_path(scene, *origin.carry(states))
+        )
+        base = np.eye(4) if version == "1.4" else origin.theirs_from_controller
+        base = origin.world_from_theirs @ base
+        actions[:, :3] = (targets[:, :3] - base[:3, 3]) @ base[:3, :3]
+        rotation = base[:3, :3].T @ matrix_from_rotvec(targets[:, 3:6])
+        actions[:, 3:6] = rotvec_from_matrix(rotation)
+        parts[f"actions_{i}"] = actions
+    return parts
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_absolute_actions_beside_settings_of_deltas_are_refused_and_can_be_told(
+    tmp_path, files, version
+):
+    path = write(tmp_path / "lift_abs.hdf5", absolute(recorded(version), version))
+    with pytest.raises(
+        DatasetError, match=r"lift_abs.hdf5: data/demo_0: .*read as deltas.*--actions absolute"
+    ):
+        imported(path)
+    with pytest.raises(DatasetError, match=r"read as deltas.*--actions absolute"):
+        imported(path, actions="deltas")
+    wanted = imported(files[version], validation=0).train
+    for a, b in zip(wanted, imported(path, actions="absolute", validation=0).train, strict=True):
+        np.testing.assert_allclose(b.actions[:, :3], a.actions[:, :3], atol=1e-9)
+        np.testing.assert_allclose(
+            matrix_from_rotvec(b.actions[:, 3:6]), matrix_from_rotvec(a.actions[:, 3:6]), atol=1e-9
+        )
+    (finding,) = examine(path, 1).findings
+    assert finding.mark == "bad"
+    assert "--actions absolute" in finding.got
+
+
+def spoil_actions(parts, how):
+    """A recording whose actions are not what its arm did."""
+    for i in range(EPISODES):
+        actions = parts[f"actions_{i}"] = parts[f"actions_{i}"].copy()
+        match how:
+            case "nothing":
+                actions[:, :6] = 0
+            case "late":
+                actions[:, :6] = np.roll(actions[:, :6], 6, 0)
+            case "twice":
+                actions[:, :6] *= 0.5
+            case "mirrored":
+                actions[:, 2] *= -1
+            case "turned":
+                actions[:, [0, 1]] = actions[:, [1, 0]] * [-1, 1]
+            case "gripper":
+                actions[:, 6] *= -1
+    return parts
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("how", ["nothing", "late", "twice", "mirrored", "turned"])
+def test_commands_that_lead_elsewhere_than_the_states_are_refused(tmp_path, version, how):
+    path = write(tmp_path / "bad.hdf5", spoil_actions(recorded(version), how))
+    with pytest.raises(DatasetError, match=r"data/demo_\d: its commands, .*--actions states"):
+        imported(path)
+    assert len(imported(path, actions="states", validation=0).train) == EPISODES
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_deltas_said_to_be_absolute_are_refused(tmp_path, files, version):
+    parts = recorded(version)
+    arm = parts["env_args"]["env_kwargs"]["controller_configs"]
+    arm = arm if version == "1.4" else arm["body_parts"]["right"]
+    arm |= {"control_delta": False} if version == "1.4" else {"input_type": "absolute"}
+    path = write(tmp_path / "said.hdf5", parts)
+    with pytest.raises(DatasetError, match=r"read as absolute poses.*--actions deltas"):
+        imported(path)
+    a, b = (imported(p, validation=0, **how).train[0] for p, how in (
+        (files[version], {}), (path, {"actions": "deltas"})
+    ))  # fmt: skip
+    np.testing.assert_array_equal(a.actions, b.actions)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_gripper_that_is_turned_around_is_refused(tmp_path, version):
+    path = write(tmp_path / "bad.hdf5", spoil_actions(recorded(version), "gripper"))
+    with pytest.raises(DatasetError, match="demo_0: its fingers open where commands close them"):
+        imported(path)
+    for demo in imported(path, actions="states", validation=0).train:
+        assert demo.actions[0, 6] == -1
+        assert demo.actions[-1, 6] == 1
+
+
+OSC = {"type": "OSC_POSE", "kp": 150, "damping_ratio": 1}
+
+
+def composite(arm, **settings):
+    return {"type": "BASIC", "body_parts": {"right": arm}, **settings}
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({**OSC, "interpolation": "linear"}, "interpolation 'linear'"),
+        ({**OSC, "uncouple_pos_ori": False}, "uncouple_pos_ori False"),
+        ({**OSC, "orientation_limits": [[-1] * 3, [1] * 3]}, "orientation_limits"),
+        ({**OSC, "position_limits": [0, 1]}, "position_limits .*three numbers each"),
+        ({**OSC, "position_limits": [[0, 0], [1, 1, 1]]}, "position_limits .*three numbers"),
+        (composite({**OSC, "position_limits": [[0] * 3, [1] * 3]}), "position_limits"),
+        (composite({**OSC, "interpolation": "linear"}), "interpolation 'linear'"),
+        (composite({**OSC, "gripper": {"type": "JOINT_POSITION"}}), "gripper 'JOINT_POSITION'"),
+        (composite({**OSC, "input_ref_frame": "hand"}), "input_ref_frame 'hand'"),
+        (composite({**OSC, "input_type": "relative"}), "input_type 'relative'"),
+        (composite(OSC, type="WHOLE_BODY_IK"), "composite controller of type 'WHOLE_BODY_IK'"),
+        ({**OSC, "impedance_mode": "variable_kp"}, "impedance_mode 'variable_kp'"),
+        ({**OSC, "kp": [[150], [150, 150]]}, None),
+        ({**OSC, "kp": {}}, "kp {}"),
+        ({**OSC, "kp": [150, 150, 150, 150, 150, 300]}, "kp "),
+        ({**OSC, "output_max": [0.05, [0.5]]}, "output_max .*expected a number, or six"),
+        ({**OSC, "output_max": "much"}, "output_max 'much'"),
+        ({**OSC, "output_max": [0.05] * 3}, "output_max .*expected a number, or six"),
+        ({**OSC, "input_max": -1}, "input_min .* is not below input_max"),
+        ({**OSC, "input_max": float("nan")}, "input_max nan"),
+        ("OSC_POSE", "names no controller"),
+        ([], "names no controller"),
+        (None, "names no controller"),
+        ({"body_parts": [1]}, "names no controller"),
+    ],
+)
+def test_each_setting_of_a_controller_is_applied_or_refused(settings, message):
+    if message is None:
+        assert read_controller(settings).is_delta  # 150 throughout, however it is nested
+        return
+    with pytest.raises(DatasetError, match=message):
+        read_controller(settings)
+
+
+def test_position_limits_of_robosuite_14_clip_targets(tmp_path, files):
+    free = imported(files["1.4"], validation=0).train
+    parts = recorded("1.4")
+    scene = make_task("lift").scene("randomized")
+    origin = read_origin(str(parts["model_0"]), parts["states_0"][0], scene, ["cube_g0"])
+    shift = origin.world_from_theirs[:3, 3]
+    low = [-9.0, -9.0, float(free[0].actions[:, 2].min() - shift[2] + 0.004)]
+    arm = parts["env_args"]["env_kwargs"]["controller_configs"]
+    arm["position_limits"] = [low, [9, 9, 9]]
+    for a, b in zip(
+        free, imported(write(tmp_path / "b.hdf5", parts), validation=0).train, strict=True
+    ):
+        wanted = a.actions.copy()
+        wanted[:, 2] = np.maximum(wanted[:, 2], low[2] + shift[2])
+        np.testing.assert_allclose(b.actions, wanted, atol=1e-12)
+    assert (free[0].actions[:, 2] < low[2] + shift[2]).any()
+
+
+def test_a_controller_of_older_robosuite_is_read():
+    arm = {"type": "OSC_POSE", "damping": 1, "kp": 150, "output_max": 0.1, "output_min": -0.1}
+    controller = read_controller([arm])
+    assert controller.keeps_rotation
+    assert controller.is_delta
+    assert not controller.in_base
+    np.testing.assert_array_equal(controller.output_range, [[-0.1] * 6, [0.1] * 6])
+    with pytest.raises(DatasetError, match="damping_ratio 2"):
+        read_controller({**arm, "damping": 2})
