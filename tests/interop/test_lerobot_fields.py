@@ -71,7 +71,8 @@ def observation(steps):
     state = stats["observation.state.mean"] + stats["observation.state.std"] * drawn
     camera = np.broadcast_to(np.eye(4, dtype=np.float32), (steps, VIEWS, 4, 4))
     obs = {"image": image, "proprio": state.astype(np.float32)}
-    obs |= {"K": camera[..., :3, :3], "base_from_camera": camera}
+    K = np.array([[SIDE, 0, SIDE / 2], [0, SIDE, SIDE / 2], [0, 0, 1]], np.float32)
+    obs |= {"K": np.broadcast_to(K, (steps, VIEWS, 3, 3)), "base_from_camera": camera}
     return {k: v[None] if steps > 1 else v for k, v in obs.items()}
 
 
