@@ -23,7 +23,7 @@ from jaxcam.errors import ConfigError
         ({"ema": 1.0}, "ema must be below 1"),
         ({"n": 3, "m": 4}, r"m \(4\) must be at most n \(3\)"),
         ({"views": 4, "n": 3}, r"views \(4\) needs as many cameras"),
-        ({"seed": -1}, "seed must be at least 0"),
+        ({"seed": -1}, "A seed must be 0 to 4294967295"),
         ({"steps": 1.5}, "steps must be int or NoneType, got 1.5"),
         ({"batch": True}, "batch must be int"),
         ({"task": None}, "task must be str, got None"),

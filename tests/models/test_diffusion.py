@@ -265,7 +265,7 @@ def test_paper_has_the_parameters_of_the_authors_network():
         ({"channels": (8, 12)}, "not multiples of groups 8"),
         ({"sample_steps": 101}, "sample_steps must be 1 to"),
         ({"obs_steps": 4}, "obs_steps must be 1 to 3"),
-        ({"temperature": -1.0}, "temperature must not be negative, got -1"),
+        ({"temperature": -1.0}, "temperature must be at least 0, got -1"),
     ],
 )
 def test_what_cannot_work_is_refused(changes, hint):
