@@ -3,7 +3,7 @@
 from jaxcam.config.datasets import LerobotConfig
 from jaxcam.console.command import Command
 
-COMMAND = Command(LerobotConfig, "jaxcam.interop.lerobot_dataset:main")
+COMMAND = Command(LerobotConfig, "jaxcam.interop.lerobot.dataset:main")
 
 if __name__ == "__main__":
     COMMAND.run()

@@ -5,7 +5,7 @@ from rich.console import Console
 from jaxcam.config.commands import WeightsConfig
 from jaxcam.config.train import TrainConfig
 from jaxcam.files.paths import absolute
-from jaxcam.interop.lerobot_policy import VERSION, adopt, export_policy
+from jaxcam.interop.lerobot.policy import VERSION, adopt, export_policy
 from jaxcam.models.weights.load import read_weights, show
 from jaxcam.training.checkpoint import load_policy_inputs
 

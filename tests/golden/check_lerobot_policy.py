@@ -42,8 +42,8 @@ def make(folder: Path) -> None:
     import jax
 
     from jaxcam.config.train import TrainConfig
-    from jaxcam.interop.lerobot_pipelines import STATISTICS
-    from jaxcam.interop.lerobot_policy import export_policy
+    from jaxcam.interop.lerobot.pipelines import STATISTICS
+    from jaxcam.interop.lerobot.policy import export_policy
     from jaxcam.models import FAMILIES, PolicySpec, make_policy
     from jaxcam.runs.identity import resolve
     from jaxcam.sim.ensemble import ensemble

@@ -21,8 +21,8 @@ from jaxcam.config.datasets import LerobotConfig
 from jaxcam.data.batches import make_dataset
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.interop import lerobot_format
-from jaxcam.interop.lerobot_dataset import export_dataset
-from jaxcam.interop.lerobot_format import Writer, _column, feature, stats_of, video_feature
+from jaxcam.interop.lerobot.dataset import export_dataset
+from jaxcam.interop.lerobot.format import Writer, _column, feature, stats_of, video_feature
 
 PIXELS = 24
 SCALARS = {"timestamp", "frame_index", "episode_index", "index", "task_index"}
@@ -256,7 +256,7 @@ def test_without_validation_demonstrations(demos, pictures, tmp_path, monkeypatc
     from dataclasses import replace
 
     monkeypatch.setattr(
-        "jaxcam.interop.lerobot_dataset.read_demos", lambda _: replace(demos, valid=[])
+        "jaxcam.interop.lerobot.dataset.read_demos", lambda _: replace(demos, valid=[])
     )
     with pytest.raises(DatasetError, match="no validation demonstrations"):
         export_dataset(config(demos, tmp_path / "out", validation=True))

@@ -11,8 +11,8 @@ import pytest
 from places import GOLDEN
 
 from jaxcam.errors import CheckpointError, ConfigError
-from jaxcam.interop.lerobot_pipelines import write_pipelines
-from jaxcam.interop.lerobot_policy import read_foreign
+from jaxcam.interop.lerobot.pipelines import write_pipelines
+from jaxcam.interop.lerobot.policy import read_foreign
 from jaxcam.models import make_policy
 
 safetensors = pytest.importorskip("safetensors.numpy")

@@ -14,9 +14,9 @@ from policy_inputs import start
 from jaxcam.config.commands import WeightsConfig
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import CheckpointError
-from jaxcam.interop.lerobot_layout import config_of, settings_of
-from jaxcam.interop.lerobot_pipelines import STATISTICS
-from jaxcam.interop.lerobot_policy import adopt, export_policy, read_foreign
+from jaxcam.interop.lerobot.layout import config_of, settings_of
+from jaxcam.interop.lerobot.pipelines import STATISTICS
+from jaxcam.interop.lerobot.policy import adopt, export_policy, read_foreign
 from jaxcam.models import FAMILIES, PolicySpec, make_policy
 from jaxcam.models.conditioning import with_conditioning
 from jaxcam.models.normalization import (

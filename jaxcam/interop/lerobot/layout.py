@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from jaxcam.errors import CheckpointError
-from jaxcam.interop.lerobot_pipelines import ACTION, IMAGE, STATE
+from jaxcam.interop.lerobot.pipelines import ACTION, IMAGE, STATE
 from jaxcam.models import FAMILIES, PolicySpec
 from jaxcam.models.normalization import LEROBOT_STD_FLOOR
 from jaxcam.models.weights.names_robot import Arrays, restore_act, restore_diffusion
@@ -214,7 +214,7 @@ def settings_of(config: Mapping[str, Any], image_scaling: str) -> tuple[Any, Pol
 
     Args:
         config: LeRobot's.
-        image_scaling: One of `jaxcam.interop.lerobot_pipelines.SCALINGS`.
+        image_scaling: One of `jaxcam.interop.lerobot.pipelines.SCALINGS`.
 
     Raises:
         CheckpointError: Our network has no place for it, with everything that has none.

@@ -1,8 +1,8 @@
 """A run's policy as a LeRobot checkpoint (version 0.4.4), and a LeRobot checkpoint as a run.
 
 Such a checkpoint is a folder: `model.safetensors`, `config.json`, and two pipelines that scale what
-goes into the network and what comes out of it (`jaxcam.interop.lerobot_pipelines`). What fits,
-`jaxcam.interop.lerobot_layout` knows.
+goes into the network and what comes out of it (`jaxcam.interop.lerobot.pipelines`). What fits,
+`jaxcam.interop.lerobot.layout` knows.
 """
 
 import os
@@ -17,14 +17,14 @@ import numpy as np
 
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import CheckpointError
-from jaxcam.interop.lerobot_layout import (
+from jaxcam.interop.lerobot.layout import (
     COUNTERPARTS,
     Counterpart,
     check_type,
     config_of,
     settings_of,
 )
-from jaxcam.interop.lerobot_pipelines import (
+from jaxcam.interop.lerobot.pipelines import (
     ACTION,
     BEFORE,
     IMAGE,

@@ -25,7 +25,7 @@ from jaxcam.data.pictures import load_pictures
 from jaxcam.errors import DatasetError
 from jaxcam.files.locks import exclusive
 from jaxcam.files.paths import home
-from jaxcam.interop.lerobot_format import VERSION, Writer, feature, video_feature, write_json
+from jaxcam.interop.lerobot.format import VERSION, Writer, feature, video_feature, write_json
 from jaxcam.sim.actions import is_absolute, is_joint
 from jaxcam.sim.controllers import CONTROL_HZ
 from jaxcam.sim.world import World

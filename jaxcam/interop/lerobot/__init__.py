@@ -1,0 +1,1 @@
+"""LeRobot: its dataset format written, its policies read and written."""
