@@ -1,6 +1,8 @@
 """Shared fixtures: Lift's scenes, a tiny dataset collected once per session, and ManiSkill."""
 
+import gc
 import os
+import sys
 
 import pytest
 
@@ -8,6 +10,15 @@ TINY = {"demos": 4, "validation": 2}
 """Settings of the session's dataset."""
 PIXELS = 24
 """Side of its pictures."""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _compiled_programs_are_let_go():
+    """What a file of tests compiled is of no use to the next, and would fill the memory."""
+    yield
+    if "jax" in sys.modules:
+        sys.modules["jax"].clear_caches()
+        gc.collect()
 
 
 @pytest.fixture(scope="session")

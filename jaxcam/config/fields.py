@@ -166,7 +166,7 @@ def _check_type(where: str, field: str, value: Any, hint: Any) -> None:
         raise ConfigError(f"{where}{field} must be finite, got {value}.")
     if type(value) is str and not _can_be_name(value):
         raise ConfigError(f"{where}{field} has what no file's name can: {short(value)}.")
-    for part_hint, part in _parts(hint, value):
+    for part_hint, part in _parts(f"{where}{field}", hint, value):
         _check_type(where, field, part, part_hint)
     if not isinstance(value, tuple | list | dict) and (names := names_of(hint)):
         _check_names(f"{where}Unknown {field}", value, names)
@@ -180,17 +180,17 @@ def _can_be_name(text: str) -> bool:
         return False
 
 
-def _parts(hint: Any, value: Any) -> Iterable[tuple[Any, Any]]:
+def _parts(what: str, hint: Any, value: Any) -> Iterable[tuple[Any, Any]]:
     """What is in a list, a tuple or a dict, each part with what an annotation says of it."""
     origin, args = typing.get_origin(hint), typing.get_args(hint)
     if origin in (typing.Union, types.UnionType):
         same = (part for part in args if typing.get_origin(part) is type(value))
-        return _parts(next(same, Any), value)
+        return _parts(what, next(same, Any), value)
     if origin is dict:
         return [pair for item in value.items() for pair in zip(args, item, strict=True)]
     if origin is tuple and Ellipsis not in args:
         if len(args) != len(value):
-            raise ConfigError(f"Expected {len(args)} values, got {short(value)}.")
+            raise ConfigError(f"{what} has {len(args)} values, got {short(value)}.")
         return list(zip(args, value, strict=True))
     return [(args[0], part) for part in value] if origin in (list, tuple) else []
 

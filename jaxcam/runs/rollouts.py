@@ -109,7 +109,7 @@ def stored_weights(run: Path, step: int) -> str | None:
             items.setdefault(item, {})[rest] = what
         chosen = items.get("ema") or items.get("params")
         return weights_digest(chosen) if chosen else None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
 
 

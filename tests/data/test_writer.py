@@ -198,7 +198,7 @@ def test_two_processes_do_not_write_one_dataset(tmp_path):
 def test_a_folder_that_cannot_be_made(tmp_path):
     (tmp_path / "file").write_text("not a folder")
     config = CollectConfig(**TINY, data_dir=str(tmp_path / "file" / "data"))
-    with pytest.raises(DatasetError, match=r"Cannot write to .*--data-dir"):
+    with pytest.raises(DatasetError, match=r"Cannot write to .*choose another place"):
         collect(config)
 
 

@@ -66,7 +66,9 @@ def test_writers_killed_while_appending_leave_whole_rows(tmp_path):
 def test_lines_that_are_no_objects_are_an_error(tmp_path, line):
     path = tmp_path / "rows.jsonl"
     path.write_text(line + "\n")
-    with pytest.raises(DatasetError, match=r"rows\.jsonl, line 1, is (no object|damaged)"):
+    with pytest.raises(
+        DatasetError, match=r"rows\.jsonl, line 1(, is damaged|: expected names with values)"
+    ):
         read_jsonl(path)
 
 

@@ -60,7 +60,7 @@ def test_a_killed_holder_frees_the_lock(tmp_path):
 def test_a_folder_that_cannot_be_made(tmp_path):
     (tmp_path / "file").write_text("")
     with (
-        pytest.raises(DatasetError, match=r"Cannot write to .*--data-dir"),
+        pytest.raises(DatasetError, match=r"Cannot write to .*choose another place"),
         exclusive(tmp_path / "file" / "folder" / "data"),
     ):
         pass

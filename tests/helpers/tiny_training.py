@@ -144,7 +144,7 @@ def scenes(folder):
     from jaxcam.evaluation.evaluator import Candidate
 
     found = {"shard": shard(), "devices": data_mesh(12).size}
-    mine = folder if is_first() else folder / "elsewhere"
+    mine = folder if is_first() else folder / "elsewhere" / folder.name
     fit(settings(mine / "run", steps=3), write=is_first())
     state = fit(settings(mine / "run"), write=is_first())[0]  # restored from what was saved
     found["step"], found["w"] = int(state.step), np.asarray(state.params["w"]).tolist()

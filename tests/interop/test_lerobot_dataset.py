@@ -20,7 +20,7 @@ from pyarrow import parquet
 from jaxcam.config.datasets import LerobotConfig
 from jaxcam.data.batches import make_dataset
 from jaxcam.errors import ConfigError, DatasetError
-from jaxcam.interop import lerobot_format
+from jaxcam.interop.lerobot import format as lerobot_format
 from jaxcam.interop.lerobot.dataset import export_dataset
 from jaxcam.interop.lerobot.format import Writer, _column, feature, stats_of, video_feature
 
