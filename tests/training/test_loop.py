@@ -246,7 +246,7 @@ def test_other_devices_are_reported(singles, tmp_path, monkeypatch, caplog):
         jaxcam.runs.environment, "environment", lambda: known | {"devices": "gpu A, gpu A"}
     )
     fit(settings(tmp_path / "run", seed=1))
-    assert "not bit-exact: now devices gpu A, gpu A" in caplog.text
+    assert "not bit-exact: devices cpu cpu -> gpu A, gpu A" in caplog.text
 
 
 def test_killed_training_ends_bit_equal(demos, tmp_path):
