@@ -18,6 +18,7 @@ import numpy as np
 from jaxcam.config.fields import as_record, from_json
 from jaxcam.data.splits import SPLITS
 from jaxcam.errors import ConfigError, DatasetError
+from jaxcam.files.paths import read_text
 from jaxcam.files.whole import write_atomically
 from jaxcam.rays import sample_poses
 from jaxcam.sim.task import Task, starts
@@ -91,7 +92,7 @@ def read_digests(file: Path) -> list[str]:
     if not file.is_file():
         return []
     try:
-        stored = from_json(StoredPairs, file.read_text("utf-8"), "file of pairs")
+        stored = from_json(StoredPairs, read_text(file), "file of pairs")
         digests = [as_record(StoredPair, pair, "file of pairs").sha for pair in stored.pairs]
     except (OSError, UnicodeDecodeError, ConfigError) as error:
         raise DatasetError(f"{file} cannot be read: {error}") from error

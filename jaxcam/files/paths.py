@@ -1,5 +1,6 @@
 """Paths as people give them."""
 
+import errno
 import os
 from pathlib import Path
 
@@ -23,3 +24,18 @@ def absolute(path: str | Path) -> Path:
 def inside(file: Path, folder: Path) -> bool:
     """Whether a file lies in a folder in truth: links in the folder that lead out of it do not."""
     return file.resolve().is_relative_to(folder.resolve())
+
+
+def read_text(path: Path) -> str:
+    """The text of a regular file.
+
+    Args:
+        path: Of the file.
+
+    Raises:
+        OSError: There is none that can be read; a device or a pipe, which may never end, is none.
+        ValueError: It is not UTF-8.
+    """
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
+    return path.read_text("utf-8")

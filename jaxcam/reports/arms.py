@@ -15,7 +15,7 @@ from typing import Any
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.files.jsonl import line_of, read_jsonl
 from jaxcam.files.locks import exclusive
-from jaxcam.files.paths import absolute
+from jaxcam.files.paths import absolute, read_text
 from jaxcam.files.whole import write_atomically
 from jaxcam.reports.records import NAMED, NOT_RECORDED, read_records
 from jaxcam.results.differences import PairedDifference, paired_difference
@@ -372,7 +372,7 @@ def _kind_of_weights(folder: Path, name: str) -> str:
     record = folder / "weights.json"
     if not record.is_file():
         return os.path.normpath(name)
-    content = json.loads(record.read_text("utf-8"))
+    content = json.loads(read_text(record))
     return f"{content['kind'] or Path(name).stem} {str(content.get('sha256', ''))[:8]}".rstrip()
 
 

@@ -198,7 +198,8 @@ def _check_out(out: Path) -> None:
         raise ConfigError(f"{out} is there, and is no folder. Choose another --out.")
     page = out / "report.html"
     check_free(page)
-    ours = page.exists() or (out / "runs.json").exists()
+    rows = all((out / name).exists() for name in ("runs.json", "rows.jsonl"))
+    ours = page.exists() or rows  # whose rows these are is looked at before they are replaced
     if ours and not (out / "config.json").exists():
         return  # a report of ours, with all that is beside it
     if there := [name for name in (*WRITTEN, "config.json") if (out / name).exists()]:

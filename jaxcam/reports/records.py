@@ -10,6 +10,7 @@ from typing import Any, Literal, cast, get_args, get_origin
 
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, DatasetError
+from jaxcam.files.paths import read_text
 from jaxcam.results.rows import USUAL_WAY
 from jaxcam.runs.identity import Settings, changes
 
@@ -60,7 +61,7 @@ def read_records(file: Path) -> list[RunRecord]:
         DatasetError: It is not what `write_results` writes.
     """
     try:
-        content = json.loads(file.read_text("utf-8"))
+        content = json.loads(read_text(file))
     except (OSError, ValueError, RecursionError) as error:
         raise DatasetError(f"{file} cannot be read: {error}.") from error
     if not isinstance(content, list):

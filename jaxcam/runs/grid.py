@@ -29,7 +29,7 @@ from jaxcam.config.fields import as_record, short
 from jaxcam.config.names import ProtocolName
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, closest
-from jaxcam.files.paths import home
+from jaxcam.files.paths import home, read_text
 from jaxcam.results.protocol import missing, protocol_of
 from jaxcam.results.stats import Estimate, latest_rows, success_rate
 from jaxcam.runs.identity import differences, full_name, resolve, stored_config
@@ -159,7 +159,7 @@ def read_grid(path: str | Path) -> Grid:
     """
     path = home(path)
     try:
-        content = yaml.safe_load(path.read_text("utf-8"))
+        content = yaml.safe_load(read_text(path))
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
         raise ConfigError(f"{path} cannot be read: {error}.") from error
     where = str(path)

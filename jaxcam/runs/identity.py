@@ -20,6 +20,7 @@ from jaxcam.config.fields import fill, from_json
 from jaxcam.config.presets import PRESETS, Preset
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
+from jaxcam.files.paths import read_text
 from jaxcam.results.rows import USUAL_WAY
 from jaxcam.runs.manifests import sides
 from jaxcam.sim import make_task
@@ -109,7 +110,7 @@ def stored_config(folder: Path) -> TrainConfig:
         ConfigError: It is damaged, or cannot be read.
     """
     try:
-        text = (folder / "config.json").read_text("utf-8")
+        text = read_text(folder / "config.json")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{folder / 'config.json'} cannot be read: {error}.") from error
     # Settings that are newer than the run: it was made with their preset's values.

@@ -14,6 +14,7 @@ from typing import Any
 
 from jaxcam.config.fields import as_record
 from jaxcam.errors import ConfigError
+from jaxcam.files.paths import read_text
 
 
 class DamagedError(Exception):
@@ -60,7 +61,7 @@ def read_object(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise ConfigError(f"there is no file {path.name}")
     try:
-        content = json.loads(path.read_text("utf-8"))
+        content = json.loads(read_text(path))
     except (OSError, ValueError, RecursionError) as error:
         raise ConfigError(f"{type(error).__name__}: {str(error)[:200]}") from error
     if not isinstance(content, dict):

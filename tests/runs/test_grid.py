@@ -112,3 +112,10 @@ def test_a_long_name_is_cut_and_told_apart(write):
     names = {run.name for run in read_grid(write(grid_of({"model": models}))).runs}
     assert len(names) == 2
     assert max(map(len, names)) < 255 - len(".log")
+
+
+@pytest.mark.parametrize("device", ["/dev/full", "/dev/zero", "/dev/null"])
+def test_a_device_is_no_grid(device):
+    """Some of them never end."""
+    with pytest.raises(ConfigError, match="not a regular file"):
+        read_grid(device)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from jaxcam.errors import CheckpointError
+from jaxcam.files.paths import read_text
 from jaxcam.models.fusion import IMAGENET_MEAN, IMAGENET_STD
 from jaxcam.models.normalization import LEROBOT_STD_FLOOR
 from jaxcam.models.weights.names_robot import Arrays
@@ -253,7 +254,7 @@ def read_json(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise CheckpointError(f"{path.parent} is no LeRobot checkpoint: it has no {path.name}.")
     try:
-        content = json.loads(path.read_text())
+        content = json.loads(read_text(path))
     except (OSError, ValueError) as error:
         raise CheckpointError(f"{path.parent} is no LeRobot checkpoint: {error}.") from error
     if not isinstance(content, dict):
