@@ -126,7 +126,7 @@ def _render(
             return views_of(episodes[d], demos, resolution, rows - layout.first[d])
 
         total = int(wanted.sum())
-        drawn = _draw(demos.header, resolution, map(view, groups), len(groups))
+        drawn = draw_views(demos.header, resolution, map(view, groups), len(groups))
         with progress(console, "rendering", total, done=total - len(missing)) as advance:
             for rows, pictures in zip(groups, drawn, strict=True):
                 cache.write(rows, pictures)
@@ -134,10 +134,20 @@ def _render(
     cache.finish()
 
 
-def _draw(
+def draw_views(
     header: Header, resolution: int, views: Iterable[View], count: int
 ) -> Iterator[np.ndarray]:
-    """Pictures of each view in order; by one process a core where one draws with one thread."""
+    """Pictures of each view in order; by one process a core where one draws with one thread.
+
+    Args:
+        header: Of the dataset.
+        resolution: Side of the pictures, in pixels.
+        views: What is drawn, a group of pictures each.
+        count: Groups there are.
+
+    Yields:
+        Each group's pictures, uint8 [pictures, H, W, 3], top row first.
+    """
     workers = min(os.cpu_count() or 1, count // GROUPS_PER_WORKER)
     if workers < 2 or painter_of(_scene(header)).uses_all_cores():
         draw = functools.partial(_draw_view, header.task, header.scene, resolution)

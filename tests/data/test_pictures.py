@@ -47,14 +47,14 @@ def cached(elsewhere, demos, pictures):
 @pytest.fixture
 def drawn(monkeypatch):
     """Numbers of pictures that are drawn, group by group."""
-    draw, counts = pictures_module._draw, []
+    draw, counts = pictures_module.draw_views, []
 
     def counting(*args):
         for pictures in draw(*args):
             counts.append(len(pictures))
             yield pictures
 
-    monkeypatch.setattr(pictures_module, "_draw", counting)
+    monkeypatch.setattr(pictures_module, "draw_views", counting)
     return counts
 
 
@@ -193,14 +193,14 @@ def test_every_picture_has_one_place(demos, pictures):
 
 
 def test_a_second_load_renders_nothing(demos, pictures, monkeypatch):
-    monkeypatch.setattr(pictures_module, "_draw", None)
+    monkeypatch.setattr(pictures_module, "draw_views", None)
     again = load_pictures(demos, PIXELS)
     np.testing.assert_array_equal(again.rgb, pictures.rgb)
     assert not again.rgb.flags.writeable
 
 
 def test_an_interrupted_rendering_ends_as_an_uninterrupted_one(elsewhere, pictures, monkeypatch):
-    draw, rendered = pictures_module._draw, []
+    draw, rendered = pictures_module.draw_views, []
 
     def dying(*args):
         for pictures in draw(*args):
@@ -209,7 +209,7 @@ def test_an_interrupted_rendering_ends_as_an_uninterrupted_one(elsewhere, pictur
                 raise KeyboardInterrupt
             yield pictures
 
-    monkeypatch.setattr(pictures_module, "_draw", dying)
+    monkeypatch.setattr(pictures_module, "draw_views", dying)
     with pytest.raises(KeyboardInterrupt):
         load_pictures(elsewhere, PIXELS)
     assert not any(name.endswith(".npy") for name in pictures_in(elsewhere))
@@ -226,14 +226,14 @@ def test_one_process_a_core_renders_the_same(elsewhere, pictures, monkeypatch):
 
 
 def test_only_what_is_wanted_is_drawn(elsewhere, pictures, monkeypatch):
-    draw, drawn = pictures_module._draw, []
+    draw, drawn = pictures_module.draw_views, []
 
     def counting(*args):
         for pictures in draw(*args):
             drawn.append(len(pictures))
             yield pictures
 
-    monkeypatch.setattr(pictures_module, "_draw", counting)
+    monkeypatch.setattr(pictures_module, "draw_views", counting)
     wanted = np.random.default_rng(0).random(pictures.layout.total) < 0.2
     some = load_pictures(elsewhere, PIXELS, wanted=wanted)
     np.testing.assert_array_equal(some.rgb[wanted], pictures.rgb[wanted])

@@ -22,7 +22,7 @@ from jaxcam.data.batches import make_dataset
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.interop.lerobot import format as lerobot_format
 from jaxcam.interop.lerobot.dataset import export_dataset
-from jaxcam.interop.lerobot.format import Writer, _column, feature, stats_of, video_feature
+from jaxcam.interop.lerobot.format import Writer, column_of, feature, stats_of, video_feature
 
 PIXELS = 24
 SCALARS = {"timestamp", "frame_index", "episode_index", "index", "task_index"}
@@ -242,7 +242,7 @@ def test_a_column_of_matrices():
     values = np.random.default_rng(0).normal(size=(7, 3, 4))
     stats = stats_of(values)
     assert stats["q99"].shape == (3, 4)
-    assert _column(values).to_pylist() == values.tolist()
+    assert column_of(values).to_pylist() == values.tolist()
     np.testing.assert_allclose(stats["std"], values.std(0))
 
 

@@ -169,7 +169,7 @@ class Writer:
         write_json(self._root / "meta/info.json", info)
 
     def _add_rows(self, rows: dict[str, np.ndarray]) -> dict[str, int]:
-        table = pa.table({key: _column(values) for key, values in rows.items()})
+        table = pa.table({key: column_of(values) for key, values in rows.items()})
         if self._table is None:
             self._table = parquet.ParquetWriter(self._data.new_path(), table.schema)
         self._table.write_table(table)  # a row group an episode
@@ -233,7 +233,7 @@ class _Numbered:
         return self.path
 
 
-def _column(values: np.ndarray) -> pa.Array:
+def column_of(values: np.ndarray) -> pa.Array:
     """An Arrow array [T] of lists, as deep as the values' other axes."""
     flat = pa.array(np.ascontiguousarray(values).reshape(-1))
     for size in reversed(values.shape[1:]):
