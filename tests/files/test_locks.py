@@ -8,6 +8,7 @@ import time
 
 import pytest
 from rich.console import Console
+from rights import no_rights
 
 from jaxcam.errors import DatasetError
 from jaxcam.files.locks import InUseError, NamedLock, exclusive
@@ -67,21 +68,14 @@ def test_a_folder_that_cannot_be_made(tmp_path):
 
 
 def test_a_folder_that_may_not_be_written_to(tmp_path):
-    """Root gives its rights up for the test."""
     folder = tmp_path / "read-only"
     folder.mkdir(mode=0o555)
-    was_root = os.geteuid() == 0
-    if was_root:
-        os.seteuid(65534)
-    try:
-        with (
-            pytest.raises(DatasetError, match=r"Cannot write to .*read-only: Permission denied"),
-            exclusive(folder / "data"),
-        ):
-            pass
-    finally:
-        if was_root:
-            os.seteuid(0)
+    with (
+        no_rights(),
+        pytest.raises(DatasetError, match=r"Cannot write to .*read-only: Permission denied"),
+        exclusive(folder / "data"),
+    ):
+        pass
 
 
 def test_a_named_lock_says_who_has_it_and_who_left_it(tmp_path):

@@ -10,6 +10,7 @@ import textwrap
 
 import numpy as np
 import pytest
+from rights import no_rights
 
 import jaxcam.runs.environment
 from jaxcam.config.fields import from_json
@@ -118,24 +119,19 @@ def test_lock_within_one_process(tmp_path):
         RunDir.open(config(tmp_path))
 
 
-@pytest.fixture
-def read_only(tmp_path):
-    """A folder this process may not write to; root gives its rights up for the test."""
+def test_no_permission(tmp_path):
     folder = tmp_path / "read-only"
     folder.mkdir(mode=0o555)
-    was_root = os.geteuid() == 0
-    if was_root:
-        os.seteuid(65534)
-    yield folder
-    if was_root:
-        os.seteuid(0)
-
-
-def test_no_permission(read_only):
-    with pytest.raises(ConfigError, match=r"Cannot write to the run folder .*: Permission denied"):
-        RunDir.open(config(read_only / "run"))
-    with pytest.raises(ConfigError, match=r"Cannot write to the run folder .*: Permission denied"):
-        RunDir.open(config(read_only))
+    within, itself = config(folder / "run"), config(folder)
+    with no_rights():
+        with pytest.raises(
+            ConfigError, match=r"Cannot write to the run folder .*: Permission denied"
+        ):
+            RunDir.open(within)
+        with pytest.raises(
+            ConfigError, match=r"Cannot write to the run folder .*: Permission denied"
+        ):
+            RunDir.open(itself)
 
 
 def test_run_folder_that_is_a_file(tmp_path):
