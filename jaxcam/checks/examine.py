@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 
 from rich.console import Console
 
-from jaxcam.checks.dataset import check_content, check_physics, read
+from jaxcam.checks.dataset import check_content, check_file, check_physics
 from jaxcam.checks.findings import bad, note, show, worst
 from jaxcam.checks.machine import check_env
 from jaxcam.checks.numbers import statistics
@@ -22,7 +22,7 @@ from jaxcam.config.commands import CheckConfig
 from jaxcam.errors import ConfigError, DatasetError, SimError
 from jaxcam.files.paths import absolute
 from jaxcam.files.whole import check_free
-from jaxcam.interop.formats import read as read_any
+from jaxcam.interop.formats import check_file as read_any
 from jaxcam.interop.formats import recognise
 
 
@@ -34,7 +34,7 @@ def check_dataset(path: Path, count: int, console: Console | None = None) -> Rep
         count: Demonstrations that are replayed, drawn and compared with cached pictures.
         console: For progress; silent when None.
     """
-    demos, findings = read(path)
+    demos, findings = check_file(path)
     if demos is None:
         return Report(path.name, "It cannot be used.", findings)
     task, scene = demos.task, demos.world

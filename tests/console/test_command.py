@@ -12,7 +12,7 @@ from running import exit_code
 from jaxcam import __main__ as table
 from jaxcam import errors
 from jaxcam.config.commands import SweepConfig
-from jaxcam.console.command import Command
+from jaxcam.console.command import CommandLine
 from jaxcam.console.progress import progress
 
 
@@ -23,7 +23,7 @@ def run(monkeypatch):
     def run(main):
         monkeypatch.setattr(sys.modules[__name__], "main", main, raising=False)
         monkeypatch.setitem(sys.modules, "ends", sys.modules[__name__])
-        Command(SweepConfig, "ends:main").run(["grid.yaml"], prog="jaxcam sweep")
+        CommandLine(SweepConfig, "ends:main").run(["grid.yaml"], prog="jaxcam sweep")
 
     return run
 

@@ -46,14 +46,14 @@ def test_layout_is_robomimics(demos):
         assert train == [f"demo_{i}" for i in range(4)]
         assert sorted(train + valid) == sorted(data)
         for name, group in data.items():
-            found = []
+            arrays = []
             group.visititems(
-                lambda key, item, found=found: (
-                    found.append(key) if isinstance(item, h5py.Dataset) else None
+                lambda key, item, arrays=arrays: (
+                    arrays.append(key) if isinstance(item, h5py.Dataset) else None
                 )
             )
-            assert set(found) == set(ARRAYS), name
-            assert all(group[key].fletcher32 for key in found)
+            assert set(arrays) == set(ARRAYS), name
+            assert all(group[key].fletcher32 for key in arrays)
             steps = group.attrs["num_samples"]
             assert group["actions"].shape == (steps, 7)
             assert group["states"].shape == (steps + 1, 1 + header.nq + header.nv)
@@ -112,10 +112,10 @@ def test_flipped_bytes_anywhere_are_noticed_or_harmless(copy, demos):
         content[place] ^= 1 << int(rng.integers(8))
         copy.write_bytes(content)
         try:
-            found = read_demos(copy, task="lift", scene="randomized")
+            read = read_demos(copy, task="lift", scene="randomized")
         except DatasetError:
             continue
-        assert found.fingerprint == demos.fingerprint, place
+        assert read.fingerprint == demos.fingerprint, place
 
 
 def test_not_hdf5(tmp_path):

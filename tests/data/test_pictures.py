@@ -162,11 +162,11 @@ def test_a_note_that_says_drawn_over_an_empty_file_is_not_believed(cached, pictu
 
 
 def test_cached_pictures_are_fresh_renders_of_state_and_camera(demos, pictures, renderer):
-    every = demos.episodes
-    assert len(pictures.rgb) == sum(d.length * len(d.cameras) for d in every)
+    episodes = demos.episodes
+    assert len(pictures.rgb) == sum(d.length * len(d.cameras) for d in episodes)
     rng = np.random.default_rng(0)
-    seen = set()
-    for i, demo in enumerate(every):
+    compared = set()
+    for i, demo in enumerate(episodes):
         t, c = int(rng.integers(demo.length)), int(rng.integers(len(demo.cameras)))
         for t_, c_ in {(t, c), (0, 0), (demo.length - 1, len(demo.cameras) - 1)}:
             view = View(
@@ -178,8 +178,8 @@ def test_cached_pictures_are_fresh_renders_of_state_and_camera(demos, pictures, 
             )
             row = pictures.layout.at(np.array(i), np.array(t_), np.array(c_))
             np.testing.assert_array_equal(pictures.rgb[row], renderer.rgb(view)[0])
-            seen.add(int(row))
-    assert {0, len(pictures.rgb) - 1} <= seen
+            compared.add(int(row))
+    assert {0, len(pictures.rgb) - 1} <= compared
 
 
 def test_every_picture_has_one_place(demos, pictures):
@@ -246,8 +246,8 @@ def test_only_what_is_wanted_is_drawn(elsewhere, pictures, monkeypatch):
     np.testing.assert_array_equal(more.rgb[wanted], pictures.rgb[wanted])
     assert sum(drawn) == wanted.sum()
     assert not any(name.endswith(".npy") for name in pictures_in(elsewhere))
-    every = load_pictures(elsewhere, PIXELS)
-    np.testing.assert_array_equal(every.rgb, pictures.rgb)
+    whole = load_pictures(elsewhere, PIXELS)
+    np.testing.assert_array_equal(whole.rgb, pictures.rgb)
     assert sum(drawn) == pictures.layout.total
     assert [name.rsplit(".", 1)[1] for name in pictures_in(elsewhere)] == ["npy"]
     np.testing.assert_array_equal(some.rgb, pictures.rgb)  # the same file, still open

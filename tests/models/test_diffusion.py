@@ -98,8 +98,8 @@ def test_a_predictor_that_knows_the_sample_gets_it_back(sampler):
 
     x = jax.random.normal(jax.random.key(1), clean.shape)
     fresh = jax.random.normal(jax.random.key(2), (10, *clean.shape))
-    found = sample(make_table(sampler, alphas, 10), predict, x, fresh)
-    np.testing.assert_allclose(found, clean, atol=1e-4)
+    sampled = sample(make_table(sampler, alphas, 10), predict, x, fresh)
+    np.testing.assert_allclose(sampled, clean, atol=1e-4)
 
 
 def test_noise_is_added_by_the_schedule():
@@ -212,8 +212,8 @@ def test_padded_actions_do_not_matter():
 
 def history(batch, steps):
     """The same observation at every step."""
-    seen = ("image", "K", "base_from_camera", "proprio")
-    return batch | {k: np.stack([batch[k]] * steps, 1) for k in seen}
+    observed = ("image", "K", "base_from_camera", "proprio")
+    return batch | {k: np.stack([batch[k]] * steps, 1) for k in observed}
 
 
 def test_several_observations():

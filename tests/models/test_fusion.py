@@ -16,12 +16,12 @@ from jaxcam.rays import plucker
 @pytest.mark.parametrize("network", CONDITIONINGS)
 def test_image_only_twin_has_the_same_shapes_and_ignores_the_pose(network):
     batch = make_batch()
-    told = make(tiny("laptop", network, twin_of=network))
+    full = make(tiny("laptop", network, twin_of=network))
     twin = make(tiny("laptop", "none", twin_of=network))
-    same = jax.tree.map(lambda a, b: a.shape == b.shape, shapes(told), shapes(twin))
+    same = jax.tree.map(lambda a, b: a.shape == b.shape, shapes(full), shapes(twin))
     assert jax.tree.all(same)
-    params = start(told)
-    for policy, listens in ((told, network != "none"), (twin, False)):
+    params = start(full)
+    for policy, listens in ((full, network != "none"), (twin, False)):
         act = policy.act
         here, there = act(params, batch, None), act(params, moved(batch), None)
         assert np.array_equal(here, there) != listens
@@ -30,12 +30,12 @@ def test_image_only_twin_has_the_same_shapes_and_ignores_the_pose(network):
 @pytest.mark.parametrize("network", ["token", "early", "late", "keypoints"])
 def test_twin_is_the_network_at_the_nominal_pose(network):
     batch = make_batch()
-    told = make(tiny("laptop", network))
+    full = make(tiny("laptop", network))
     twin = make(tiny("laptop", "none", twin_of=network))
-    params = start(told)
+    params = start(full)
     nominal = np.tile(np.array(NOMINAL_POSE, np.float32), (2, 1, 1, 1))
     np.testing.assert_array_equal(
-        told.act(params, batch | {"base_from_camera": nominal}, None),
+        full.act(params, batch | {"base_from_camera": nominal}, None),
         twin.act(params, batch, None),
     )
 

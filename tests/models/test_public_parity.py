@@ -22,7 +22,7 @@ from jaxcam.models.diffusion.network import Diffusion
 from jaxcam.models.diffusion.samplers import add_noise, cosine_alphas
 from jaxcam.models.policy import pure
 from jaxcam.models.weights.load import Weights, load
-from jaxcam.models.weights.names import recognise
+from jaxcam.models.weights.names import name_map_of
 
 CASES = ("paper", "lerobot", "original")
 
@@ -45,7 +45,7 @@ def weight(name, shape):
 def converted(names, prefix, params):
     """Our parameters, from a checkpoint of a network with these names and shapes."""
     arrays = {prefix + n: weight(n, tuple(s)) for n, s in json.loads(str(names)).items()}
-    return load(Weights(Path("golden.safetensors"), arrays, recognise(list(arrays)), ""), params)
+    return load(Weights(Path("golden.safetensors"), arrays, name_map_of(list(arrays)), ""), params)
 
 
 def close(ours, theirs, tolerance=1e-4):
@@ -71,8 +71,8 @@ def as_batch(policy, given):
     """The golden observation; a policy of one step has no axis for steps."""
     if policy.spec.obs_steps > 1:
         return given
-    seen = ("image", "K", "base_from_camera", "proprio")
-    return given | {k: given[k][:, 0] for k in seen}
+    observed = ("image", "K", "base_from_camera", "proprio")
+    return given | {k: given[k][:, 0] for k in observed}
 
 
 @pytest.fixture
@@ -80,8 +80,8 @@ def draws(monkeypatch):
     """Makes the policy draw what the golden script did."""
 
     def use(*normals, t=None):
-        left = list(normals)
-        monkeypatch.setattr(jax.random, "normal", lambda key, shape: left.pop(0).reshape(shape))
+        waiting = list(normals)
+        monkeypatch.setattr(jax.random, "normal", lambda key, shape: waiting.pop(0).reshape(shape))
         monkeypatch.setattr(jax.random, "randint", lambda key, shape, low, high: jnp.asarray(t))
 
     return use
@@ -104,9 +104,9 @@ def test_noise_prediction_of_diffusion_policy(case):
         action[1, 5:] = action[1, 4]
     noisy = add_noise(cosine_alphas(100), jnp.asarray(action), given["noise"], given["t"])
     net = network(params)
-    told = jit(net.condition)(obs, jnp.asarray(proprio))
-    close(told[0], given["out_condition"])
-    close(jit(net.unet)(noisy, given["t"], *told), given["out_predicted"])
+    features = jit(net.condition)(obs, jnp.asarray(proprio))
+    close(features[0], given["out_condition"])
+    close(jit(net.unet)(noisy, given["t"], *features), given["out_predicted"])
 
 
 @pytest.mark.parametrize(("case", "padding"), [

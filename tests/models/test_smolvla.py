@@ -63,8 +63,8 @@ def test_euler_follows_a_straight_line_exactly():
     np.testing.assert_allclose(x[0], action[0] + 0.25 * velocity[0], rtol=1e-5, atol=1e-6)
     asked = []
     with jax.disable_jit():
-        found = integrate(lambda x, t: asked.append(float(t[0])) or velocity, noise, 10)
-    np.testing.assert_allclose(found, action, atol=1e-5)
+        result = integrate(lambda x, t: asked.append(float(t[0])) or velocity, noise, 10)
+    np.testing.assert_allclose(result, action, atol=1e-5)
     np.testing.assert_allclose(asked, np.arange(10, 0, -1) / 10, rtol=1e-6)
 
 

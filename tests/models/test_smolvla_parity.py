@@ -18,7 +18,7 @@ from jaxcam.models.smolvla.flow import integrate, line
 from jaxcam.models.smolvla.network import SmolVla
 from jaxcam.models.smolvla.policy import make_smolvla, velocity_loss
 from jaxcam.models.weights.load import Weights, load
-from jaxcam.models.weights.names import recognise
+from jaxcam.models.weights.names import name_map_of
 
 GOLDEN = dict(np.load(places.GOLDEN / "smolvla_torch.npz"))
 RAYS = "model.vlm_with_expert.fusion."
@@ -80,7 +80,7 @@ class Case:
         self.policy = make_smolvla(self.config, spec, GOLDEN)
         names = json.loads(str(GOLDEN[f"{preset}_shapes"]))
         arrays = {n: torch_weight(n, s) for n, s in names.items() if not n.startswith(RAYS)}
-        weights = Weights(Path("golden"), arrays, recognise(list(arrays)), "")
+        weights = Weights(Path("golden"), arrays, name_map_of(list(arrays)), "")
         self.params = load(weights, shapes(self.policy))
         self.params = jax.tree_util.tree_map_with_path(fusion_weight, self.params)
         images = GOLDEN["coarse"][:, :, :cells, :cells].repeat(8, 2).repeat(8, 3)

@@ -20,8 +20,8 @@ from jaxcam.errors import CheckpointError, ConfigError
 from jaxcam.models import ACT_PRESETS, PolicySpec, make_policy
 from jaxcam.models.conditioning import with_conditioning
 from jaxcam.models.smolvla.config import SMOLVLA_PRESETS
-from jaxcam.models.weights.load import Weights, load, read_weights, record_weights, show
-from jaxcam.models.weights.names import MAPS, recognise, unwrap
+from jaxcam.models.weights.load import Weights, load, read_weights, record_weights, show_weights
+from jaxcam.models.weights.names import MAPS, name_map_of, unwrap
 from jaxcam.models.weights.torch_files import MOST_STEPS, read_torch
 from jaxcam.pipeline import starting_weights, train
 from jaxcam.runs.identity import resolve
@@ -32,7 +32,7 @@ SMOLVLA = {m.title: m for m in MAPS}["SmolVLA (LeRobot)"]
 
 
 def weights_of(arrays):
-    return Weights(Path("file.pth"), arrays, recognise(list(arrays)), "")
+    return Weights(Path("file.pth"), arrays, name_map_of(list(arrays)), "")
 
 
 def resnet(d_in=3):
@@ -262,12 +262,12 @@ def test_safetensors_are_read_and_hashed(tmp_path, capsys):
     weights = read_weights(file)
     assert weights.arrays["conv1.weight"].shape == (2, 3)
     assert weights.kind is not None
-    show(weights)
-    told = capsys.readouterr().out
-    assert "conv1.weight" in told
-    assert "2x3" in told
-    assert "ResNet-18 (torchvision), 1 arrays, 6 numbers" in told.replace("\n", " ")
-    assert weights.sha256 in told.replace("\n", "")
+    show_weights(weights)
+    printed = capsys.readouterr().out
+    assert "conv1.weight" in printed
+    assert "2x3" in printed
+    assert "ResNet-18 (torchvision), 1 arrays, 6 numbers" in printed.replace("\n", " ")
+    assert weights.sha256 in printed.replace("\n", "")
 
 
 def test_safetensors_of_float8_are_read(tmp_path):

@@ -199,7 +199,7 @@ def test_curves_show_what_was_logged(tmp_path):
 def test_camera_poses_are_drawn_where_they_are():
     pose = np.eye(4)
     pose[:3, 3] = (0.6, 0.8, 1.3)
-    above, side = plots.camera_poses(pose[None], pose[None], centre=(0, 0, 0.8)).axes
+    above, side = plots.camera_places(pose[None], pose[None], centre=(0, 0, 0.8)).axes
     position = [line.get_xydata()[0] for line in above.lines if len(line.get_xydata()) == 1]
     assert position[0] == pytest.approx([0.6, 0.8])
     position = [line.get_xydata()[0] for line in side.lines if len(line.get_xydata()) == 1]

@@ -192,8 +192,8 @@ def test_success_runs_on_device(world):
     wanted = task.success(scene, state, start)
     assert wanted.all()
     on_device = jax.jit(lambda state, start: task.success(scene, state, start))
-    found = on_device(State(*map(jnp.asarray, state)), Start(*map(jnp.asarray, start)))
-    np.testing.assert_array_equal(found, wanted)
+    success = on_device(State(*map(jnp.asarray, state)), Start(*map(jnp.asarray, start)))
+    np.testing.assert_array_equal(success, wanted)
 
 
 def test_the_target_is_seen_where_fixtures_say_and_never_touched():
@@ -257,8 +257,8 @@ def test_cameras_see_the_objects(world):
     points = [place(scene, start, name) for name in OBJECTS[task.name]]
     points = np.stack([*points, *np.moveaxis(start.fixtures[:, 2:, :3], 1, 0)], 1)
     camera_from_world = np.asarray(invert(cameras))
-    seen = points @ camera_from_world[:, :3, :3].swapaxes(1, 2) + camera_from_world[:, None, :3, 3]
-    inside = (abs(seen[..., :2]) < half * seen[..., 2:]).all(-1)
+    local = points @ camera_from_world[:, :3, :3].swapaxes(1, 2) + camera_from_world[:, None, :3, 3]
+    inside = (abs(local[..., :2]) < half * local[..., 2:]).all(-1)
     assert inside.mean() > 0.85
     two = inside.reshape(100, 2, -1)  # one of two cameras sees it
     assert two.any(1).mean() > 0.95

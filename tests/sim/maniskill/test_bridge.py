@@ -80,8 +80,8 @@ def test_inverse_kinematics_reaches_and_stays_within_limits():
     rng = np.random.default_rng(1)
     q = HOME + rng.normal(0, 0.1, (50, 7))
     goal, axes, _ = forward(np.clip(q + rng.normal(0, 0.1, q.shape), *kinematics.LIMITS))
-    found = inverse(goal, axes, q, q)
-    at, turned, _ = forward(found)
+    solution = inverse(goal, axes, q, q)
+    at, turned, _ = forward(solution)
     assert np.linalg.norm(at - goal, axis=-1).max() < 1e-4
     assert np.linalg.norm(rotvec_from_matrix(turned @ axes.mT), axis=-1).max() < 1e-3
     far = inverse(goal + np.array([2.0, 0, 0]), axes, q, q)  # out of reach: near, and no leaps
@@ -143,8 +143,8 @@ def test_the_grip_goes_where_it_is_told_and_fingers_close(engine, start, world):
     for _ in range(30):
         state = engine.step(state, Command(pose, np.ones(WORLDS)))
     assert np.linalg.norm(state.grip_position - pose[:, :3], axis=-1).max() < 1e-3
-    left = rotvec_from_matrix(rotation @ state.grip_rotation.mT)
-    assert np.linalg.norm(left, axis=-1).max() < 5e-3
+    error = rotvec_from_matrix(rotation @ state.grip_rotation.mT)
+    assert np.linalg.norm(error, axis=-1).max() < 5e-3
     np.testing.assert_allclose(state.qpos[:, world.fingers], 0, atol=1e-3)
     np.testing.assert_array_equal(state.closed, 1)
     state = engine.step(state, Command(pose, np.zeros(WORLDS)))
@@ -182,12 +182,12 @@ env = gymnasium.make("JaxcamPush-v1", scene="randomized", sim_backend="physx_cpu
 env.reset(seed=0)
 env = env.unwrapped
 env.begin(starts(env.task, env.world, [0]))
-found = []
+reached = []
 for action in np.load("actions.npy"):
     env.step(action[None])
     state = env.state()
-    found.append(np.concatenate([state.qpos[0], state.qvel[0]]))
-np.save("found.npy", found)
+    reached.append(np.concatenate([state.qpos[0], state.qvel[0]]))
+np.save("reached.npy", reached)
 """
 
 
@@ -197,13 +197,13 @@ def test_a_control_step_is_maniskills_own(joint_engine, push, world, tmp_path):
     np.save(tmp_path / "actions.npy", np.c_[targets, np.ones(25)].astype(np.float32))
     subprocess.run(
         [sys.executable, "-W", "ignore", "-c", MANISKILL], cwd=tmp_path, check=True,
-        env=machine.environment(), capture_output=True,
+        env=machine.child_environment(), capture_output=True,
     )  # fmt: skip
     state, rows = joint_engine.reset(start), []
     for target in targets:  # fingers open: in touch, their order would matter
         state = joint_engine.step(state, Command(target[None], -np.ones(1)))
         rows.append(np.concatenate([state.qpos[0], state.qvel[0]]))
-    np.testing.assert_allclose(rows, np.load(tmp_path / "found.npy"), atol=1e-4)
+    np.testing.assert_allclose(rows, np.load(tmp_path / "reached.npy"), atol=1e-4)
 
 
 def views(start, count=4):
@@ -225,11 +225,11 @@ def test_unprojected_depth_lies_on_the_cube(layers, start, world):
     view, cube = views(start), world.qpos_of("cube")
     number = next(i for i, name in enumerate(layers.names) if name.endswith("cube"))
     pose = start.qpos[0, cube : cube + 7]
-    seen = 0
+    count = 0
     for i, world_from_camera in enumerate(view.world_from_camera):
         rays = np.asarray(Camera(K, world_from_camera, HEIGHT, WIDTH).plucker(), float)
         hit = layers.segments[i] == number
-        seen += hit.sum()
+        count += hit.sum()
         direction = rays[hit][:, :3]
         along = direction / (direction @ world_from_camera[:3, 2])[:, None]
         points = world_from_camera[:3, 3] + layers.depth[i][hit][:, None] * along
@@ -237,7 +237,7 @@ def test_unprojected_depth_lies_on_the_cube(layers, start, world):
         to_face = abs(local.max(-1) - HALF)
         assert to_face.max() < 2e-3
         assert local.max() < HALF + 2e-3
-    assert seen > 200
+    assert count > 200
 
 
 def test_the_fingers_are_where_they_are_predicted(layers, start, engine):
@@ -357,7 +357,7 @@ def test_a_machine_without_vulkan_is_told_how_to_get_it(maniskill, push, monkeyp
 def test_check_tells_what_there_is_and_how_to_get_the_rest(monkeypatch, capsys):
     monkeypatch.setattr(machine, "missing_packages", lambda: list(machine.PACKAGES.values()))
     exit_code("check", "--env")
-    told = capsys.readouterr().out
-    assert "extra maniskill: pip install 'jaxcam[maniskill]'" in told
-    assert "lift, pick_place_can, square" in told
-    assert "without mani-skill, sapien, torch" in told
+    printed = capsys.readouterr().out
+    assert "extra maniskill: pip install 'jaxcam[maniskill]'" in printed
+    assert "lift, pick_place_can, square" in printed
+    assert "without mani-skill, sapien, torch" in printed

@@ -47,10 +47,10 @@ def same(a, b):
 
 @pytest.fixture(scope="module")
 def start(lift, scene):
-    found = starts(lift, scene, range(4))
+    begun = starts(lift, scene, range(4))
     cube = scene.qpos_of("cube")
-    found.qpos[:, cube : cube + 2] = [[0, 0], [0.02, -0.1], [-0.05, 0.1], [0.05, 0.03]]
-    return found
+    begun.qpos[:, cube : cube + 2] = [[0, 0], [0.02, -0.1], [-0.05, 0.1], [0.05, 0.03]]
+    return begun
 
 
 @pytest.fixture(scope="module")

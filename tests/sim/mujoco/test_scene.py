@@ -71,15 +71,15 @@ def test_slim_model_moves_like_the_full_one(full_and_scene):
     assert slim.opt.timestep == full.opt.timestep
     qpos, qvel = slim.qpos0.copy(), rng.normal(size=slim.nv)
     qpos[scene.arm] = scene.home + 0.3 * rng.normal(size=7)
-    found = []
+    dynamics = []
     for model in (full, slim):
         data = mujoco.MjData(model)
         data.qpos, data.qvel = qpos, qvel
         mujoco.mj_forward(model, data)
         mass = np.empty((model.nv, model.nv))
         mujoco.mj_fullM(model, data, mass)
-        found.append((mass, data.qfrc_bias.copy(), data.qfrc_passive.copy()))
-    for a, b in zip(*found, strict=True):
+        dynamics.append((mass, data.qfrc_bias.copy(), data.qfrc_passive.copy()))
+    for a, b in zip(*dynamics, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-9)
 
 
