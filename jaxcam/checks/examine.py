@@ -22,7 +22,7 @@ from jaxcam.config.commands import CheckConfig
 from jaxcam.errors import ConfigError, DatasetError, SimError
 from jaxcam.files.paths import absolute
 from jaxcam.files.whole import check_free
-from jaxcam.interop.formats import check_file as read_any
+from jaxcam.interop.formats import read as read_any
 from jaxcam.interop.formats import recognise
 
 

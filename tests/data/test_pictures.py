@@ -12,7 +12,6 @@ from jaxcam.data import pictures as pictures_module
 from jaxcam.data.caches import Cache
 from jaxcam.data.pictures import load_pictures
 from jaxcam.errors import DatasetError, SimError
-from jaxcam.rays import Camera
 from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.sim.mujoco.render import Renderer
 from jaxcam.sim.types import View
@@ -285,12 +284,6 @@ def test_other_pictures_have_another_cache(demos, pictures):
     (name,) = set(pictures_in(demos)) - before
     for part in (demos.fingerprint, "-16px-", Renderer.look()):
         assert part in name
-
-
-def test_intrinsics_are_of_the_whole_picture():
-    camera = Camera(intrinsics(45, 84), np.eye(4), 84, 84).validate()
-    np.testing.assert_allclose(np.rad2deg(camera.fovy), 45, rtol=1e-6)
-    np.testing.assert_allclose(intrinsics(45, 84)[:2, 2], 42)
 
 
 @pytest.mark.parametrize(

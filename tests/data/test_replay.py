@@ -1,16 +1,13 @@
-"""Replaying demonstrations in every action space, and the command that tells."""
+"""Replaying demonstrations in every action space."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from running import exit_code
 
 from jaxcam.data import replay as replay_module
 from jaxcam.data.batches import demo_actions
-from jaxcam.data.demos import read_demos
 from jaxcam.data.replay import replay, replay_all
-from jaxcam.data.writer import DemoWriter
 from jaxcam.sim.actions import ACTION_SPACES, controller_of
 from jaxcam.sim.mujoco.native import NativeEngine
 
@@ -57,23 +54,3 @@ def test_joint_targets_lead_to_where_the_joints_were(lift, scene, demos):
     still = np.abs(demo.states[1:, 1 + scene.physics.nq + scene.arm]).max(-1) < 0.02
     if still.any():
         np.testing.assert_allclose(targets[still], reached[still], atol=0.01)
-
-
-def test_the_command_tells_and_fails_below_the_gate(tmp_path, demos, spoilt, capsys):
-    path = tmp_path / "spoilt.hdf5"
-    with DemoWriter(path, demos.header) as writer:
-        for i, demo in enumerate(spoilt):
-            writer.append(i, demo)
-        writer.finish()
-    assert len(read_demos(path).train) == len(demos.train)
-    assert exit_code("replay", path, "--action-space", "joint_abs") == 1
-    printed = capsys.readouterr().out
-    assert "joint_abs" in printed
-    assert "eef_delta" not in printed
-    assert "demo_1" in printed
-    assert f"{len(spoilt) - 1} of {len(spoilt)}" in printed
-    assert exit_code("replay", demos.path) == 0
-    assert "100.0%" in capsys.readouterr().out
-    assert exit_code("replay", path, "--action-space", "joint_bas") == 2
-    printed = " ".join(capsys.readouterr().err.split())
-    assert "mean 'joint_abs'" in printed

@@ -48,7 +48,7 @@ def converted(names, prefix, params):
     return load(Weights(Path("golden.safetensors"), arrays, name_map_of(list(arrays)), ""), params)
 
 
-def close(ours, theirs, tolerance=1e-4):
+def assert_close(ours, theirs, tolerance=1e-4):
     """Within a relative error of the largest value, which is what a float32 sum can promise."""
     error = np.abs(np.asarray(ours) - theirs).max() / np.abs(theirs).max()
     assert error < tolerance, error
@@ -105,8 +105,8 @@ def test_noise_prediction_of_diffusion_policy(case):
     noisy = add_noise(cosine_alphas(100), jnp.asarray(action), given["noise"], given["t"])
     net = network(params)
     features = jit(net.condition)(obs, jnp.asarray(proprio))
-    close(features[0], given["out_condition"])
-    close(jit(net.unet)(noisy, given["t"], *features), given["out_predicted"])
+    assert_close(features[0], given["out_condition"])
+    assert_close(jit(net.unet)(noisy, given["t"], *features), given["out_predicted"])
 
 
 @pytest.mark.parametrize(("case", "padding"), [
@@ -117,7 +117,7 @@ def test_loss_of_diffusion_policy(case, padding, draws):
     policy, params, given = diffusion(case, padding=padding)
     draws(given["noise"], t=given["t"])
     _, metrics = jit(policy.loss)(params, as_batch(policy, given), None)
-    close(metrics["mse"], given[f"out_loss_{padding}"])
+    assert_close(metrics["mse"], given[f"out_loss_{padding}"])
 
 
 @pytest.mark.parametrize("sampler", ["ddpm", "ddim"])
@@ -126,7 +126,7 @@ def test_ten_steps_of_sampling(case, sampler, draws):
     policy, params, given = diffusion(case, sampler=sampler)
     draws(given["noise"], given["fresh"])
     actions = jit(policy.act)(params, as_batch(policy, given), jax.random.key(0))
-    close(actions, given[f"out_{sampler}"])
+    assert_close(actions, given[f"out_{sampler}"])
 
 
 @cache
@@ -147,7 +147,7 @@ def act(case, **changes):
 @pytest.mark.parametrize("case", ["lerobot", "original"])
 def test_action_chunk_of_act(case):
     policy, params, batch = act(case)
-    close(jit(policy.act)(params, batch, None), batch["out_action"])
+    assert_close(jit(policy.act)(params, batch, None), batch["out_action"])
 
 
 @pytest.mark.parametrize(("case", "padding"), [("lerobot", "zeroed"), ("lerobot", "valid"),
@@ -155,6 +155,6 @@ def test_action_chunk_of_act(case):
 def test_loss_of_act(case, padding):
     policy, params, batch = act(case, padding=padding)
     loss, metrics = jit(policy.loss)(params, batch, None)
-    close(metrics["l1"], batch[f"out_l1_{padding}"])
-    close(metrics["kl"], batch["out_kl"])
-    close(loss, batch[f"out_l1_{padding}"] + 10 * batch["out_kl"])
+    assert_close(metrics["l1"], batch[f"out_l1_{padding}"])
+    assert_close(metrics["kl"], batch["out_kl"])
+    assert_close(loss, batch[f"out_l1_{padding}"] + 10 * batch["out_kl"])

@@ -20,7 +20,6 @@ from jaxcam.sim import engine_name, make_engine
 from jaxcam.sim.actions import decode, measured
 from jaxcam.sim.engine import OpenLoop
 from jaxcam.sim.mujoco.mjx import MjxEngine
-from jaxcam.sim.mujoco.mjx_model import check_pairs
 from jaxcam.sim.mujoco.mjx_room import LOST_FOR_GOOD, Room
 from jaxcam.sim.mujoco.native import NativeEngine
 from jaxcam.sim.rollout import Agent, Episodes, rollout
@@ -71,7 +70,7 @@ def follow(engine, start, commands, success=never, horizon=None, tick=lambda: No
     return np.asarray(way), progress
 
 
-def check_parity(engine, controller, lift, scene, start, steps):
+def assert_as_native(engine, controller, lift, scene, start, steps):
     native = NativeEngine(scene, controller, lift.varied)
     commands = wave(scene, native.reset(start), controller, steps)
     there, there_progress = follow(native, start, commands)
@@ -85,34 +84,13 @@ def check_parity(engine, controller, lift, scene, start, steps):
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_free_motion_and_contacts_are_as_native(lift, scene, start, warp, controller):
-    check_parity(warp[controller], controller, lift, scene, start, steps=3)  # 75 physics steps
+    assert_as_native(warp[controller], controller, lift, scene, start, steps=3)  # 75 physics steps
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_fifty_control_steps_are_as_native(lift, scene, start, warp, controller):
-    check_parity(warp[controller], controller, lift, scene, start, steps=50)
-
-
-def test_sizes_become_the_model_that_mujoco_derives(lift, scene, start, warp):
-    bodies = warp["osc_pose"].physics.bodies(start)
-    geom, body = scene.physics.geom("cube_g0").id, scene.physics.body("cube_main").id
-    for i, half in enumerate(start.geom_size[:, 0]):
-        spec = mujoco.MjSpec()
-        cube = spec.worldbody.add_body()
-        cube.add_freejoint()
-        density = scene.physics.body_mass[body] / (8 * scene.physics.geom_size[geom].prod())
-        cube.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=half, density=density)
-        model = spec.compile()
-        for name in ("body_mass", "body_inertia", "body_subtreemass", "body_invweight0"):
-            want = getattr(model, name)[1]
-            np.testing.assert_allclose(bodies[name][i, body], want, rtol=1e-5, err_msg=name)
-        dof = scene.physics.body_dofadr[body]
-        got = bodies["dof_invweight0"][i, dof : dof + 6]
-        np.testing.assert_allclose(got, model.dof_invweight0, rtol=1e-5)
-        got = [bodies["geom_size"][i, geom], bodies["geom_aabb"][i, geom].ravel()[3:]]
-        np.testing.assert_allclose(got, [half, half], rtol=1e-6)
-        np.testing.assert_allclose(bodies["geom_rbound"][i, geom], model.geom_rbound[0], rtol=1e-6)
+    assert_as_native(warp[controller], controller, lift, scene, start, steps=50)
 
 
 def test_an_edge_meets_a_face_as_in_the_c_library(scene, warp):
@@ -278,16 +256,6 @@ def test_engines_by_name(lift, scene):
         make_engine("mjx-wrap", scene, "osc_pose")
 
 
-def test_jax_refuses_pairs_by_name():
-    model = mujoco.MjModel.from_xml_string(
-        """<mujoco><worldbody><geom name="crate" type="box" size="1 1 1"/>
-        <body><freejoint/><geom name="tin" type="cylinder" size="1 1"/></body>
-        </worldbody></mujoco>"""
-    )
-    with pytest.raises(ConfigError, match=r"cannot collide (crate|tin) with (crate|tin).*native"):
-        check_pairs(model)
-
-
 def replayed(engine, demos, lift, scene, extra=0):
     """Expert demonstrations' commands, the last one kept for `extra` steps more."""
     start = starts_of(demos)
@@ -331,4 +299,4 @@ def test_demonstrations_succeed_as_on_the_native_engine(demos, lift, scene):
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_mjx_jax_is_as_native(lift, scene, start, controller):
     engine = MjxEngine(scene, controller, lift.varied, "jax")
-    check_parity(engine, controller, lift, scene, start, steps=50)
+    assert_as_native(engine, controller, lift, scene, start, steps=50)

@@ -12,6 +12,7 @@ import places
 import pytest
 from policy_inputs import jit, shapes
 
+from jaxcam.models import make_policy
 from jaxcam.models.policy import PolicySpec, pure
 from jaxcam.models.smolvla.config import SMOLVLA_PRESETS
 from jaxcam.models.smolvla.flow import integrate, line
@@ -140,3 +141,16 @@ def test_loss_with_padding(case):
         config = replace(case.config, padding=rule)
         loss = velocity_loss(config, case.velocity, case.target, GOLDEN["is_pad"], 3)
         assert float(loss) == pytest.approx(float(case.out[name]), rel=1e-4)
+
+
+def test_paper_size_is_that_of_the_published_model():
+    config = replace(SMOLVLA_PRESETS["lerobot"], tokens=(1,))
+    spec = PolicySpec(7, 8, 1, 256, 256, 50)
+    stats = {f"action_{k}": np.ones(7) for k in ("mean", "std")}
+    stats |= {f"proprio_{k}": np.ones(8) for k in ("mean", "std")}
+    parts = shapes(make_policy(config, spec, stats))
+    count = {k: sum(x.size for x in jax.tree.leaves(v)) for k, v in parts.items()}
+    # Published with a head over words and a last norm, which nothing here asks for.
+    assert sum(count.values()) + 49280 * 960 + 960 == pytest.approx(450.05e6, abs=5e3)
+    assert count["vision"] == pytest.approx(86.43e6, abs=5e3)
+    assert count["connector"] == 12288 * 960
