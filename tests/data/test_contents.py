@@ -8,11 +8,15 @@ from jaxcam.data.contents import OLD_SEAL, SEAL
 from jaxcam.data.demos import read_demos
 
 
-def test_another_seed_of_an_episode_breaks_the_seal(copy):
+@pytest.mark.parametrize(("seal", "other"), [(SEAL, OLD_SEAL), (OLD_SEAL, SEAL)])
+def test_another_seed_of_an_episode_breaks_the_seal(copy, demos, seal, other):
     """An attribute has no checksum; whether an episode is the evaluation's is told by its seed."""
     with h5py.File(copy, "r+") as file:
+        del file["data"].attrs[other]
+    assert read_demos(copy).fingerprint == demos.fingerprint
+    with h5py.File(copy, "r+") as file:
         file["data/demo_2"].attrs["seed"] += 1
-    assert_refused(copy, "damaged: its content is not what was written")
+    assert_refused(copy, rf"damaged: its content is not what was written.* \({seal}\)")
 
 
 CHANGES = {

@@ -209,10 +209,15 @@ def giant(path, kind):
         if kind == "packed":
             made.id.write_direct_chunk((0, 0), zlib.compress(bytes(1 << 26)))
         if kind == "bomb":
-            bomb, zeros = zlib.compressobj(), bytes(1 << 24)
-            made.id.write_direct_chunk(
-                (0, 0), b"".join(bomb.compress(zeros) for _ in range(200)) + bomb.flush()
-            )
+            made.id.write_direct_chunk((0, 0), bomb(200 << 24))
+
+
+def bomb(size):
+    """Zeros of a multiple of 16 MB as zlib packs them; one such part is packed, and repeated."""
+    packer = zlib.compressobj(wbits=-zlib.MAX_WBITS)
+    part = packer.compress(bytes(1 << 24)) + packer.flush(zlib.Z_FULL_FLUSH)
+    checksum = (size % 65521) << 16 | 1  # Adler-32 of zeros
+    return b"\x78\x9c" + part * (size >> 24) + b"\x03\x00" + checksum.to_bytes(4, "big")
 
 
 PEAK = """

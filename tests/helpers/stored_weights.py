@@ -1,6 +1,7 @@
 """Weights as others store them, and parameters of ours that they go into."""
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import jax
@@ -19,7 +20,12 @@ def weights_of(arrays):
 
 
 def resnet(d_in=3):
-    """A ResNet-18 as torchvision stores it, every number random."""
+    """A ResNet-18 as torchvision stores it, every number random; do not write to its arrays."""
+    return dict(_resnet(d_in))
+
+
+@cache
+def _resnet(d_in):
     rng = np.random.default_rng(0)
     arrays = {"conv1.weight": rng.normal(size=(64, d_in, 7, 7)), "fc.weight": np.zeros((1000, 512))}
 
@@ -43,6 +49,7 @@ def resnet(d_in=3):
     return {k: v.astype(np.float32) for k, v in arrays.items()}
 
 
+@cache
 def act(conditioning="late", **changes):
     sizes = {"width": 16, "heads": 2, "hidden": 16, "layers": 1, "latent_layers": 1, "chunk": 4}
     config = with_conditioning(ACT_PRESETS["paper"], conditioning)
@@ -54,6 +61,7 @@ def zeros(policy):
     return jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes(policy))
 
 
+@cache
 def tiny_smolvla():
     spec = PolicySpec(3, 5, 1, 64, 64, 4)
     config = replace(SMOLVLA_PRESETS["tiny"], chunk=4)
