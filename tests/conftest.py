@@ -1,4 +1,7 @@
-"""Shared fixtures: Lift's scenes, a tiny dataset collected once per session, and ManiSkill."""
+"""Shared fixtures: Lift's scenes, a tiny dataset collected once per session, and ManiSkill.
+
+Fixtures import what they need: most tests need neither JAX nor a simulator.
+"""
 
 import gc
 import os

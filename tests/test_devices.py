@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 import tiny_training
@@ -132,8 +133,6 @@ def test_processes_that_cannot_be_found(monkeypatch):
 
 
 def test_devices_divide_the_batch(monkeypatch, caplog):
-    import jax
-
     class Device:
         def __init__(self, index):
             self.id, self.process_index = index % 8, index // 8

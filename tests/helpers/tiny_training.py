@@ -18,6 +18,10 @@ from jaxcam.data.batches import Dataset
 from jaxcam.data.pairs import Pairs
 from jaxcam.data.pictures import Pictures
 from jaxcam.data.samples import Layout
+from jaxcam.devices import check_same, copied, data_mesh, is_first, joined, shard
+from jaxcam.errors import ConfigError, DatasetError
+from jaxcam.evaluation.checkpoint import Wanted, evaluate
+from jaxcam.evaluation.evaluator import Acting, Candidate
 from jaxcam.interrupts import Interrupt
 from jaxcam.models import Policy, PolicySpec
 from jaxcam.results.rows import Row
@@ -138,10 +142,6 @@ class PairsEvaluator:
 
 def scenes(folder):
     """What each of several processes does; process i writes to `folder` only if i is 0."""
-    from jaxcam.devices import check_same, data_mesh, is_first, shard
-    from jaxcam.errors import ConfigError
-    from jaxcam.evaluation.checkpoint import Wanted, evaluate
-    from jaxcam.evaluation.evaluator import Candidate
 
     record = {"shard": shard(), "devices": data_mesh(12).size}
     mine = folder if is_first() else folder / "elsewhere" / folder.name
@@ -166,8 +166,6 @@ def scenes(folder):
 
 def act_on_all_devices():
     """A batch of rollouts asks the policy once, on four devices, and gets what one gives."""
-    from jaxcam.devices import copied, data_mesh
-    from jaxcam.evaluation.evaluator import Acting
 
     rng, tiny = np.random.default_rng(0), policy()
     obs = {"image": rng.integers(0, 256, (8, 1, PIXELS, PIXELS, 3), np.uint8),
@@ -183,8 +181,6 @@ def act_on_all_devices():
 
 
 def main():
-    from jaxcam.devices import joined
-    from jaxcam.errors import DatasetError
 
     what, folder = sys.argv[1], Path(sys.argv[2])
     if what == "one":

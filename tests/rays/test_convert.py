@@ -115,7 +115,7 @@ def test_rays_hit_what_mujoco_says_is_there(scene):
 def test_robosuite_matrices(scene):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        from robosuite.utils import camera_utils
+        from robosuite.utils import camera_utils  # here, since it warns of what it lacks
     model, data = scene
     names = SimpleNamespace(camera_name2id=lambda _: 0, cam_fovy=model.cam_fovy)
     sim = SimpleNamespace(model=names, data=data)

@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import av
 import numpy as np
@@ -253,8 +254,6 @@ def test_bad_settings(bad):
 
 
 def test_without_validation_demonstrations(demos, pictures, tmp_path, monkeypatch):
-    from dataclasses import replace
-
     monkeypatch.setattr(
         "jaxcam.interop.lerobot.dataset.read_demos", lambda _: replace(demos, valid=[])
     )

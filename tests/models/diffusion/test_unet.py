@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import places
 import pytest
+from flax import nnx
 
 from jaxcam.models.diffusion.unet import Conv1d, Upsample, mish, step_embedding
 
@@ -20,8 +21,6 @@ def test_step_embedding_is_the_golden_one():
 
 
 def test_convolutions_over_time_are_those_of_xla():
-    from flax import nnx
-
     x = jax.random.normal(jax.random.key(0), (2, 8, 3))
     dims = ("NWC", "WIO", "NWC")
     for size, stride in ((5, 1), (3, 2), (1, 1)):

@@ -15,6 +15,7 @@ from jaxcam.rays import POSE_RANGES, invert, sample_poses
 from jaxcam.rays.rotations import matrix_from_quaternion, matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.sim import make_engine, make_task
 from jaxcam.sim.experts import CLOSE_BY, FAR, STEP, STRETCH, TURN, pushing_grip
+from jaxcam.sim.maniskill.machine import child_environment, device
 from jaxcam.sim.task import starts
 from jaxcam.sim.types import Start, State
 
@@ -287,8 +288,6 @@ print(json.dumps(measured))
 @pytest.fixture(scope="module")
 def environments(maniskill):
     """What a process that uses the environments by itself finds."""
-    from jaxcam.sim.maniskill.machine import child_environment, device
-
     ran = subprocess.run(
         [sys.executable, "-c", ENVIRONMENTS, device().kind],
         capture_output=True, text=True, check=False, env=child_environment(),
