@@ -26,6 +26,13 @@ def test_one_hot_heat_map_returns_that_pixel_and_its_ray():
     np.testing.assert_allclose(points.features[:, 0], features[:, row, column], rtol=1e-6)
 
 
+@pytest.mark.parametrize(("corners", "place"), [(False, (0.5, -0.25)), (True, (0.6, -1 / 3))])
+def test_positions_are_shares_of_an_oblong_picture(corners, place):
+    logits = jnp.zeros((1, 4, 6, 1)).at[:, 1, 4].set(1e3)
+    points = pool_keypoints(logits, jnp.ones((1, 4, 6, 6)), jnp.ones((1, 4, 6, 2)), corners=corners)
+    np.testing.assert_allclose(points.pixel[0, 0], place, rtol=1e-6)
+
+
 def test_expected_ray_of_any_heat_map_passes_through_the_camera():
     batch = make_batch(12)
     rays = grid_rays(VisionConfig(conditioning="keypoints"), batch, 12, 12)
