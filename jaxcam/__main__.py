@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from jaxcam.console.command import Command, print_error, reader_may_leave
+from jaxcam.console.command import CommandLine, print_error, reader_may_leave
 from jaxcam.errors import ConfigError, closest
 
 NAMES = (
@@ -25,7 +25,7 @@ NAMES = (
 )
 
 
-def command(name: str) -> tuple[Command, str]:
+def command(name: str) -> tuple[CommandLine, str]:
     """The command of that name, `jaxcam/<name>.py`, and a line on what it does.
 
     Raises:
@@ -37,7 +37,7 @@ def command(name: str) -> tuple[Command, str]:
     return module.COMMAND, (module.__doc__ or "").partition(": ")[2].strip()
 
 
-def show() -> None:
+def print_commands() -> None:
     """Print all commands, a line each."""
     table = Table(box=None, show_header=False, padding=(0, 2))
     for name in NAMES:
@@ -53,7 +53,7 @@ def main() -> None:
     name, *rest = sys.argv[1:] or ["--help"]
     if name in ("-h", "--help"):
         with reader_may_leave():
-            show()
+            print_commands()
         return
     try:
         chosen, _ = command(name)

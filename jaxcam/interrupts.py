@@ -60,7 +60,7 @@ def interrupts(
     interrupt = Interrupt()
     answer = f"\n{first}\n".encode()
 
-    def handle(number: int, frame: FrameType | None) -> None:
+    def handle(number: int, stack: FrameType | None) -> None:
         if interrupt:
             signal.signal(number, signal.SIG_DFL)
             signal.raise_signal(number)

@@ -106,9 +106,9 @@ def replaced(value, path, odd):
 def odd_texts(objects):
     """A file's text with odd values at places that are drawn, and other texts instead of it."""
     drawn = random.Random(0)
-    every = [place for place in places(objects) if place]
+    all_places = [place for place in places(objects) if place]
     for _ in range(COUNT):
-        yield written(replaced(objects, drawn.choice(every), drawn.choice(ODD)))
+        yield written(replaced(objects, drawn.choice(all_places), drawn.choice(ODD)))
     yield from TEXTS
 
 
@@ -190,10 +190,10 @@ def test_values_of_another_kind_are_refused_under_a_right_seal(run):
     manifest = json.loads(path.read_text())
     del manifest["sha256"]
     drawn, refused = random.Random(2), 0
-    every = [p for p in places(manifest) if p and len(p) < 4]
+    all_places = [p for p in places(manifest) if p and len(p) < 4]
     for _ in range(COUNT):
         path.write_text(
-            json.dumps(seal(replaced(manifest, drawn.choice(every), drawn.choice(ODD))))
+            json.dumps(seal(replaced(manifest, drawn.choice(all_places), drawn.choice(ODD))))
         )
         try:
             read_all(checkpoint)

@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 
 from rich.console import Console
 
-from jaxcam.checks.dataset import check_content, check_physics, read
+from jaxcam.checks.dataset import check_content, check_file, check_physics
 from jaxcam.checks.findings import bad, note, show, worst
 from jaxcam.checks.machine import check_env
 from jaxcam.checks.numbers import statistics
@@ -34,7 +34,7 @@ def check_dataset(path: Path, count: int, console: Console | None = None) -> Rep
         count: Demonstrations that are replayed, drawn and compared with cached pictures.
         console: For progress; silent when None.
     """
-    demos, findings = read(path)
+    demos, findings = check_file(path)
     if demos is None:
         return Report(path.name, "It cannot be used.", findings)
     task, scene = demos.task, demos.world

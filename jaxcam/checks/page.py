@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from jaxcam.checks.findings import Finding, named
 from jaxcam.data.demos import Demos
 from jaxcam.files.whole import whole, write_atomically
-from jaxcam.reports.camera_figures import camera_poses
+from jaxcam.reports.camera_figures import camera_places
 from jaxcam.reports.html import embedded, render
 from jaxcam.reports.style import BLUE, GREY, save, side_by_side, styled
 from jaxcam.sim.task import Task
@@ -80,7 +80,7 @@ def draw_figures(demos: Demos, task: Task) -> dict[str, Figure]:
     return {
         "Lengths of the demonstrations, and the ways of the grip from above.": _ways(demos),
         "Cameras of the training demonstrations and of the validation ones (held out).": (
-            camera_poses(poses[used], poses[held], task.cameras.centre)
+            camera_places(poses[used], poses[held], task.cameras.centre)
         ),
     }
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import tyro
 
-from jaxcam.config.fields import check_least, check_most, check_rotations, check_types
+from jaxcam.config.fields import check_least, check_most, check_rotation_form, check_types
 from jaxcam.config.flags import default
 from jaxcam.config.names import (
     ActionSpace,
@@ -167,6 +167,6 @@ class WeightsConfig:
 
     def __post_init__(self) -> None:
         check_types(self)
-        check_rotations(self.action_space, self.rotations)
+        check_rotation_form(self.action_space, self.rotations)
         if self.export and self.run_dir:
             raise ConfigError("Give --export or --run-dir, not both.")

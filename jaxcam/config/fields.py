@@ -15,7 +15,7 @@ from jaxcam.config.names import names_of
 from jaxcam.errors import ConfigError, closest
 
 
-class Settings(Protocol):
+class SettingsRecord(Protocol):
     """Any record of settings: a dataclass."""
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
@@ -23,10 +23,10 @@ class Settings(Protocol):
 
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = 100
-C = TypeVar("C", bound=Settings)
+C = TypeVar("C", bound=SettingsRecord)
 
 
-def to_json(config: Settings) -> str:
+def to_json(config: SettingsRecord) -> str:
     """A config as JSON text that `from_json` turns back into an equal config."""
     return json.dumps(dataclasses.asdict(config), indent=2) + "\n"
 
@@ -137,7 +137,7 @@ def with_overrides(settings: C, pairs: Iterable[str]) -> C:
     return dataclasses.replace(settings, **values)
 
 
-def check_types(config: Settings, where: str = "") -> None:
+def check_types(config: SettingsRecord, where: str = "") -> None:
     """Refuses values whose type is not the annotated one, and names that are unknown.
 
     Numbers are finite and have at most 64 bits, and texts could be paths.
@@ -211,7 +211,9 @@ def _check_names(what: str, value: Any, names: tuple[str, ...]) -> None:
         raise ConfigError(f"{what} {short(value)}{closest(str(value), names)}.")
 
 
-def check_least(config: Settings, least: float, fields: str, *, or_equal: bool = True) -> None:
+def check_least(
+    config: SettingsRecord, least: float, fields: str, *, or_equal: bool = True
+) -> None:
     """Refuses settings below (or, without `or_equal`, at) a bound."""
     for field in fields.split():
         value = getattr(config, field)
@@ -222,13 +224,13 @@ def check_least(config: Settings, least: float, fields: str, *, or_equal: bool =
             raise ConfigError(f"{field} must be {bound} {least}, got {value}.")
 
 
-def check_rotations(action_space: str, rotations: str) -> None:
+def check_rotation_form(action_space: str, rotations: str) -> None:
     """Refuses rotations that the actions do not have."""
     if rotations != "nominal" and action_space != "eef_abs":
         raise ConfigError(f"rotations is for action_space eef_abs, not {action_space}.")
 
 
-def check_most(config: Settings, most: float, fields: str) -> None:
+def check_most(config: SettingsRecord, most: float, fields: str) -> None:
     """Refuses settings above a bound."""
     for field in fields.split():
         value = getattr(config, field)

@@ -40,7 +40,7 @@ _ADVICE = {
 
 
 @dataclass(frozen=True)
-class Command:
+class CommandLine:
     """One command of jaxcam.
 
     Attributes:

@@ -108,7 +108,7 @@ class Samples:
             obs_steps: Observations a sample.
 
         Returns:
-            bool [pictures]; None when they are more than half of all.
+            Bool [pictures]; None when they are more than half of all.
         """
         wanted = np.zeros(self.layout.total, bool)
         if self.train < len(self.layout.lengths):

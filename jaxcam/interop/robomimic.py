@@ -27,8 +27,8 @@ from jaxcam.data.hdf5 import (
     group_at,
     numbers,
     open_hdf5,
+    reading,
     text,
-    whole,
 )
 from jaxcam.data.replay import falls_short, replay_all
 from jaxcam.data.splits import FIRST_SEED
@@ -86,7 +86,7 @@ class DemonstrationFile:
         """One demonstration, without cameras; names file and demonstration in errors."""
         where = f"data/{name}"
         try:
-            with whole(self.path, REMEDY, where):
+            with reading(self.path, REMEDY, where):
                 group = group_at(group_at(self.file, "data"), name)
                 if "states" not in group or "model_file" not in group.attrs:
                     missing = "model_file" if "states" in group else "states"
@@ -154,7 +154,7 @@ def task_of(path: Path) -> TaskName:
     Raises:
         DatasetError: The file cannot be read.
     """
-    with open_hdf5(path, remedy=REMEDY) as file, whole(path, REMEDY):
+    with open_hdf5(path, remedy=REMEDY) as file, reading(path, REMEDY):
         name, _ = _environment(path, file)
     return ENVIRONMENTS.get(name, RobomimicConfig.task)
 
@@ -163,7 +163,7 @@ def task_of(path: Path) -> TaskName:
 def _source(config: RobomimicConfig) -> Iterator[DemonstrationFile]:
     path = home(config.file)
     with open_hdf5(path, remedy=REMEDY) as file:
-        with whole(path, REMEDY):
+        with reading(path, REMEDY):
             source = _read_source(path, file, config)
         yield source
 
@@ -230,8 +230,8 @@ def _check_environment(path: Path, name: str, settings: dict[str, Any], task: st
 def _numbered(file: h5py.File) -> list[str]:
     """Names of the file's demonstrations, by their number."""
     everything = map(str, group_at(file, "data"))
-    found = [name for name in everything if re.fullmatch("demo_[0-9]{1,9}", name)]
-    return sorted(found, key=lambda name: int(name.removeprefix("demo_")))
+    numbered = [name for name in everything if re.fullmatch("demo_[0-9]{1,9}", name)]
+    return sorted(numbered, key=lambda name: int(name.removeprefix("demo_")))
 
 
 def _convert(

@@ -17,7 +17,7 @@ from jaxcam.interop.robosuite_model import GripPath, Origin
 from jaxcam.rays.rotations import matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.sim.controllers import CONTROL_HZ, OSC_KP
 
-Reading = Literal["commands", "deltas", "absolute"]
+ActionReading = Literal["commands", "deltas", "absolute"]
 """How actions are read: as the file says, or as asked."""
 NOTABLE = (0.01, 0.1)
 """Lead (m, rad) of a target over the grip from which a step says anything: below it, friction and
@@ -162,7 +162,7 @@ def gripper_agrees(signs: np.ndarray, opening: np.ndarray) -> bool:
     return bool(against <= max(STRAY, abs(moves).sum() / 2))
 
 
-def read_controller(settings: Any, reading: Reading = "commands") -> Controller:
+def read_controller(settings: Any, reading: ActionReading = "commands") -> Controller:
     """Reads `controller_configs` of robosuite 1.4 (one arm's) or 1.5 (of body parts).
 
     Args:
@@ -249,12 +249,12 @@ def _numbers(part: Mapping[str, Any], name: str, default: Any) -> np.ndarray:
     """A setting that is a number or six of them [6]."""
     value = part.get(name, default)
     try:
-        found = np.asarray(value, float)
+        numbers = np.asarray(value, float)
     except (TypeError, ValueError):
-        found = np.array(np.nan)
-    if found.shape not in ((), (6,)) or not np.isfinite(found).all():
+        numbers = np.array(np.nan)
+    if numbers.shape not in ((), (6,)) or not np.isfinite(numbers).all():
         raise DatasetError(f"{name} {value!r} of its controller; expected a number, or six.")
-    return np.broadcast_to(found, 6)
+    return np.broadcast_to(numbers, 6)
 
 
 def _box(limits: Any) -> np.ndarray | None:
@@ -262,12 +262,12 @@ def _box(limits: Any) -> np.ndarray | None:
     if limits is None:
         return None
     try:
-        found = np.asarray(limits, float)
+        box = np.asarray(limits, float)
     except (TypeError, ValueError):
-        found = np.array(np.nan)
-    if found.shape != (2, 3) or not np.isfinite(found).all() or (found[0] > found[1]).any():
+        box = np.array(np.nan)
+    if box.shape != (2, 3) or not np.isfinite(box).all() or (box[0] > box[1]).any():
         raise DatasetError(
             f"position_limits {limits!r} of its controller; expected the smallest and the largest "
             "position, of three numbers each."
         )
-    return found
+    return box

@@ -179,9 +179,9 @@ def _not_allowed(tag: str) -> DatasetError:
 def _named(model: mujoco.MjModel, kind: str, name: str) -> int:
     """The id of robosuite's `name`, which up to 1.4 had no arm in a gripper's names."""
     for known in (name, name.replace("gripper0_right_", "gripper0_")):
-        found = mujoco.mj_name2id(model, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), known)
-        if found >= 0:
-            return found
+        number = mujoco.mj_name2id(model, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), known)
+        if number >= 0:
+            return number
     raise DatasetError(
         f"no {kind} {name!r} in its model_file. Only robosuite's single Panda on its table can be "
         "imported."

@@ -6,7 +6,7 @@ from jaxcam.config.commands import WeightsConfig
 from jaxcam.config.train import TrainConfig
 from jaxcam.files.paths import absolute
 from jaxcam.interop.lerobot.policy import VERSION, adopt, export_policy
-from jaxcam.models.weights.load import read_weights, show
+from jaxcam.models.weights.load import read_weights, show_weights
 from jaxcam.training.checkpoint import load_policy_inputs
 
 
@@ -23,6 +23,6 @@ def main(config: WeightsConfig, console: Console) -> None:
         print(f"{config.run_dir}: a run. Next: python -m jaxcam.evaluate {config.run_dir}")
     else:
         notes = []
-        show(read_weights(config.source))
+        show_weights(read_weights(config.source))
     for note in notes:
         print(note)

@@ -31,7 +31,7 @@ from jaxcam.reports.document import (
 )
 from jaxcam.reports.html import own_files
 from jaxcam.reports.names import file_name, plain_line
-from jaxcam.reports.studies import STUDIES, arms_of, names, panels, place
+from jaxcam.reports.studies import STUDIES, arm_names, arms_of, panels, place
 from jaxcam.reports.study_figures import bars, curves, maps, rates_and_gains
 from jaxcam.reports.style import save
 from jaxcam.reports.tables import (
@@ -138,7 +138,7 @@ def _studies(arms: Sequence[Arm], out: Path) -> list[Block]:
         if not shown:
             continue
         of_study = arms_of(shown)
-        named = names(study, of_study)
+        named = arm_names(study, of_study)
         figure = curves(shown, "cameras") if study.field == "n" else bars(shown, named)
         path = save(figure, out / "figures" / f"{study.file}.png")
         caption = f"{study.title}. The paper's finding: {paper.SAYS[study.field]}"

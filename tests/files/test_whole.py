@@ -54,13 +54,13 @@ def test_writers_of_one_file_do_not_meet_and_readers_see_it_whole(tmp_path):
     path = tmp_path / "page.html"
     path.write_text("a" * 200_000)
     writers = [subprocess.Popen([sys.executable, "-c", script, str(path), c]) for c in "ab"]
-    seen = set()
+    contents = set()
     while any(writer.poll() is None for writer in writers):
         text = path.read_text()
         assert len(text) == 200_000
-        seen.add("".join(sorted(set(text))))
+        contents.add("".join(sorted(set(text))))
     assert [writer.wait() for writer in writers] == [0, 0]
-    assert seen <= {"a", "b"}
+    assert contents <= {"a", "b"}
     assert list(tmp_path.iterdir()) == [path]
 
 

@@ -154,9 +154,9 @@ def test_absolute_actions_are_targets(tmp_path, lift, files, version):
 
 
 def test_without_actions_the_fingers_tell_the_gripper(tmp_path, files):
-    told = imported(files["1.5"], validation=0).train
+    chosen = imported(files["1.5"], validation=0).train
     path = write(tmp_path / "states.hdf5", recorded("1.5"), leave_out=["actions"])
-    for a, b in zip(told, imported(path, actions="states", validation=0).train, strict=True):
+    for a, b in zip(chosen, imported(path, actions="states", validation=0).train, strict=True):
         closes = [int(np.argmax(d.actions[:, 6] > 0)) for d in (a, b)]
         assert 0 <= closes[1] - closes[0] <= 1
         assert (b.actions[closes[1] :, 6] == 1).all()

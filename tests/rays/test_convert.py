@@ -115,7 +115,7 @@ def test_rays_hit_what_mujoco_says_is_there(scene):
 def test_robosuite_matrices(scene):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        from robosuite.utils import camera_utils
+        from robosuite.utils import camera_utils  # here, since it warns of what it lacks
     model, data = scene
     names = SimpleNamespace(camera_name2id=lambda _: 0, cam_fovy=model.cam_fovy)
     sim = SimpleNamespace(model=names, data=data)
@@ -246,8 +246,8 @@ def test_mjcf_focal_and_principal_are_mujocos_frustum():
         (0, 0, left, window.frustum_top),
         (64, 48, right, window.frustum_bottom),
     ):
-        seen = np.array([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]])
-        np.testing.assert_allclose(seen, [x / near, -y / near], atol=1e-6)
+        tangents = np.array([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]])
+        np.testing.assert_allclose(tangents, [x / near, -y / near], atol=1e-6)
     np.testing.assert_allclose(K[:2, 2], [28, 27], atol=1e-5)
 
 

@@ -6,6 +6,7 @@ import scipy.stats
 from outcomes import column, rows_of
 
 from jaxcam.results.differences import paired_difference, studentised
+from jaxcam.results.rows import Row
 
 
 def test_paired_difference_by_hand():
@@ -149,3 +150,12 @@ def test_seeds_stand_beside_the_pairs():
     assert "seeds +0.0 to +100.0, over pairs and seeds [" in str(difference)
     assert paired_difference(a, column([0] * 40)).over_seeds is None  # one seed of B
     assert paired_difference(a, column([0] * 40)).seeds == ()
+
+
+def test_pairs_of_either_arm_alone_are_counted():
+    def rows(pairs):
+        return [Row(pair=pair, seed=0, status="ok", success=True) for pair in pairs]
+
+    for few, many in (([0, 1], [1, 2, 3]), ([1, 2, 3], [0, 1])):
+        delta = paired_difference(rows(few), rows(many))
+        assert (delta.pairs, delta.unpaired) == (1, 3)

@@ -117,14 +117,14 @@ def test_keeps_the_newest_and_saves_a_step_once(tmp_path):
 def test_checkpoints_between_the_regular_ones_are_kept_until_the_next(tmp_path):
     config = dataclasses.replace(CONFIG, save_every=2)
     side = make_side(config, settings=Settings(), spec=Settings(), stats=STATS, data="abc")
-    found = []
+    kept = []
     with Checkpoints(tmp_path / "checkpoints", keep=2) as checkpoints:
         state = fresh()
         for step in (2, 3, 4, 5, 6, 7):
             state = train(state, step)
             checkpoints.save(state, side)
-            found.append(checkpoints.steps())
-    assert found == [[2], [2, 3], [2, 4], [2, 4, 5], [4, 6], [4, 6, 7]]
+            kept.append(checkpoints.steps())
+    assert kept == [[2], [2, 3], [2, 4], [2, 4, 5], [4, 6], [4, 6, 7]]
     assert checkpoint_steps(tmp_path) == [4, 6, 7]
 
 

@@ -25,7 +25,7 @@ from jaxcam.data.pictures import load_pictures
 from jaxcam.errors import DatasetError
 from jaxcam.files.locks import exclusive
 from jaxcam.files.paths import home
-from jaxcam.interop.lerobot.format import VERSION, Writer, feature, video_feature, write_json
+from jaxcam.interop.lerobot.format import VERSION, Writer, feature, video_feature, write_meta
 from jaxcam.sim.actions import is_absolute, is_joint
 from jaxcam.sim.controllers import CONTROL_HZ
 from jaxcam.sim.world import World
@@ -98,7 +98,7 @@ def _write(
             writer.add(_rows(data, demo, views), _pictures(data, demo))
             advance(int(data.lengths[demo]))
         writer.finish("panda")
-    write_json(root / "meta/jaxcam.json", _about(config, demos, data, scene))
+    write_meta(root / "meta/jaxcam.json", _about(config, demos, data, scene))
 
 
 def _about(config: LerobotConfig, demos: Demos, data: Dataset, scene: World) -> dict[str, Any]:

@@ -148,8 +148,8 @@ def config_of(settings: Any, spec: PolicySpec, ensemble: float = 0.0) -> dict[st
             f"{'; '.join(wrong)}. What it has is --preset lerobot with --conditioning none."
         )
     same = {theirs: getattr(settings, ours) for theirs, ours in counterpart.same.items()}
-    left = spec.chunk - spec.obs_steps + 1
-    same["n_action_steps"] = min(settings.execute or left, left)
+    ahead = spec.chunk - spec.obs_steps + 1
+    same["n_action_steps"] = min(settings.execute or ahead, ahead)
     if name == "act":
         same |= {"temporal_ensemble_coeff": ensemble or None}
         same["n_action_steps"] = 1 if ensemble else same["n_action_steps"]

@@ -115,7 +115,7 @@ def read_scaling(folder: Path, name: str) -> Scaling:
     return Scaling(settings.get("norm_map", {}), kinds, arrays)
 
 
-def stats_of(folder: Path, wanted: Mapping[str, str], sizes: Mapping[str, int]) -> Arrays:
+def read_stats(folder: Path, wanted: Mapping[str, str], sizes: Mapping[str, int]) -> Arrays:
     """Our statistics, to be taken without floors, that scale as a checkpoint's pipelines do.
 
     Args:

@@ -33,8 +33,8 @@ from jaxcam.interop.lerobot.pipelines import (
     STATISTICS,
     image_scaling_of,
     read_json,
+    read_stats,
     safetensors_numpy,
-    stats_of,
     write_json,
     write_pipelines,
 )
@@ -143,7 +143,7 @@ def _arrays(counterpart: Counterpart, settings: Any, spec: PolicySpec, params: P
 
 def _scales(name: str, settings: Any, spec: PolicySpec, stats: Mapping[str, np.ndarray]) -> Arrays:
     """What the pipelines scale by, as if they were the data's statistics."""
-    found = {}
+    tensors = {}
     for feature, ours in ((ACTION, "action"), (STATE, "proprio")):
         values = {k: np.asarray(stats[f"{ours}_{k}"], np.float32) for k in STATISTICS}
         if not settings.floors:
@@ -155,12 +155,12 @@ def _scales(name: str, settings: Any, spec: PolicySpec, stats: Mapping[str, np.n
         else:
             middle, half, _ = action_range(stats) if ours == "action" else proprio_range(stats)
             values |= {"min": middle - half, "max": middle + half}
-        found |= {f"{feature}.{k}": v for k, v in values.items()}
+        tensors |= {f"{feature}.{k}": v for k, v in values.items()}
     mean, std = (x.reshape(3, 1, 1) for x in SCALINGS[settings.image_scaling])
     for image in map(IMAGE.format, range(spec.views)):
         ends = {"min": np.zeros_like(mean), "max": np.ones_like(mean)}
-        found |= {f"{image}.{k}": v for k, v in ({"mean": mean, "std": std} | ends).items()}
-    return found
+        tensors |= {f"{image}.{k}": v for k, v in ({"mean": mean, "std": std} | ends).items()}
+    return tensors
 
 
 @dataclass(frozen=True)
@@ -212,7 +212,7 @@ def read_foreign(folder: Path, config: TrainConfig | None = None) -> Foreign:
         images = [k for k, feature in inputs.items() if feature["type"] == "VISUAL"]
         settings, spec = settings_of(theirs, image_scaling_of(folder, images))
         sizes = {STATE: spec.proprio_dim, ACTION: spec.action_dim}
-        stats = stats_of(folder, counterpart.scaling, sizes)
+        stats = read_stats(folder, counterpart.scaling, sizes)
     except CheckpointError as error:
         raise CheckpointError(f"{folder} cannot be had here: {error}") from error
     if config is not None:

@@ -24,7 +24,7 @@ from jaxcam.errors import CheckpointError
 from jaxcam.files.paths import absolute
 from jaxcam.files.whole import write_atomically
 from jaxcam.models.policy import Params
-from jaxcam.models.weights.names import MAPS, NameMap, recognise, unwrap
+from jaxcam.models.weights.names import MAPS, NameMap, name_map_of, unwrap
 from jaxcam.models.weights.torch_files import read_torch
 
 LFS_HEAD = b"version https://git-lfs.github.com/spec/"
@@ -76,7 +76,7 @@ def read_weights(path: str | Path) -> Weights:
     with path.open("rb") as file:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()
     arrays = unwrap(arrays)
-    return Weights(path, arrays, recognise(list(arrays)), sha256)
+    return Weights(path, arrays, name_map_of(list(arrays)), sha256)
 
 
 def check_head(path: Path) -> None:
@@ -317,7 +317,7 @@ def _listed(what: str, names: list[str]) -> str:
     return f" {len(names)} {what}: {', '.join(names[:SHOWN])}{more}." if names else ""
 
 
-def show(weights: Weights) -> None:
+def show_weights(weights: Weights) -> None:
     """Print what a file is, and its arrays."""
     table = Table("name", "shape", "type", box=None)
     for name, array in weights.arrays.items():

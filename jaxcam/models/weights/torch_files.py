@@ -104,12 +104,12 @@ class _Allowance:
     """
 
     def __init__(self, size: int) -> None:
-        self._left = 4 * size + 2**24
+        self._unused = 4 * size + 2**24
 
     def take(self, count: int) -> None:
         """Count bytes as taken; `_OutsizedError` if they are too many."""
-        self._left -= count
-        if self._left < 0:
+        self._unused -= count
+        if self._unused < 0:
             raise _OutsizedError
 
 

@@ -120,8 +120,8 @@ def test_the_original_act_has_a_place_there_but_for_a_head_that_nobody_reads(tmp
     export_policy(inputs, tmp_path / "out")
     adopt(tmp_path / "out", TrainConfig(run_dir=str(tmp_path / "run")))
     back = load_policy_inputs(tmp_path / "run")
-    left = {k: v for k, v in inputs.params["head"].items() if k != "is_pad"}
-    jax.tree.map(np.testing.assert_array_equal, back.params, inputs.params | {"head": left})
+    kept = {k: v for k, v in inputs.params["head"].items() if k != "is_pad"}
+    jax.tree.map(np.testing.assert_array_equal, back.params, inputs.params | {"head": kept})
     for got, expected in zip(scaled(back), scaled(inputs), strict=True):
         np.testing.assert_allclose(got, expected, rtol=1e-6)
 

@@ -12,13 +12,14 @@ import places
 import pytest
 from policy_inputs import jit, shapes
 
+from jaxcam.models import make_policy
 from jaxcam.models.policy import PolicySpec, pure
 from jaxcam.models.smolvla.config import SMOLVLA_PRESETS
 from jaxcam.models.smolvla.flow import integrate, line
 from jaxcam.models.smolvla.network import SmolVla
 from jaxcam.models.smolvla.policy import make_smolvla, velocity_loss
 from jaxcam.models.weights.load import Weights, load
-from jaxcam.models.weights.names import recognise
+from jaxcam.models.weights.names import name_map_of
 
 GOLDEN = dict(np.load(places.GOLDEN / "smolvla_torch.npz"))
 RAYS = "model.vlm_with_expert.fusion."
@@ -80,7 +81,7 @@ class Case:
         self.policy = make_smolvla(self.config, spec, GOLDEN)
         names = json.loads(str(GOLDEN[f"{preset}_shapes"]))
         arrays = {n: torch_weight(n, s) for n, s in names.items() if not n.startswith(RAYS)}
-        weights = Weights(Path("golden"), arrays, recognise(list(arrays)), "")
+        weights = Weights(Path("golden"), arrays, name_map_of(list(arrays)), "")
         self.params = load(weights, shapes(self.policy))
         self.params = jax.tree_util.tree_map_with_path(fusion_weight, self.params)
         images = GOLDEN["coarse"][:, :, :cells, :cells].repeat(8, 2).repeat(8, 3)
@@ -140,3 +141,16 @@ def test_loss_with_padding(case):
         config = replace(case.config, padding=rule)
         loss = velocity_loss(config, case.velocity, case.target, GOLDEN["is_pad"], 3)
         assert float(loss) == pytest.approx(float(case.out[name]), rel=1e-4)
+
+
+def test_paper_size_is_that_of_the_published_model():
+    config = replace(SMOLVLA_PRESETS["lerobot"], tokens=(1,))
+    spec = PolicySpec(7, 8, 1, 256, 256, 50)
+    stats = {f"action_{k}": np.ones(7) for k in ("mean", "std")}
+    stats |= {f"proprio_{k}": np.ones(8) for k in ("mean", "std")}
+    parts = shapes(make_policy(config, spec, stats))
+    count = {k: sum(x.size for x in jax.tree.leaves(v)) for k, v in parts.items()}
+    # Published with a head over words and a last norm, which nothing here asks for.
+    assert sum(count.values()) + 49280 * 960 + 960 == pytest.approx(450.05e6, abs=5e3)
+    assert count["vision"] == pytest.approx(86.43e6, abs=5e3)
+    assert count["connector"] == 12288 * 960

@@ -48,10 +48,10 @@ class StandIn:
             get_picture=lambda name: [self.textures[name]],
         )  # fmt: skip
         sensors = {"eye": SimpleNamespace(camera=self.eyes)}
-        seen = [SimpleNamespace(per_scene_id=2, name="cube")]
+        entities = [SimpleNamespace(per_scene_id=2, name="cube")]
         self.scene = SimpleNamespace(
             sensors=sensors, update_render=lambda **_: [lens.settle() for lens in lenses],
-            sub_scenes=[SimpleNamespace(entities=seen)],
+            sub_scenes=[SimpleNamespace(entities=entities)],
         )  # fmt: skip
         self.size = eye
 
@@ -244,8 +244,8 @@ def world():
 
 @pytest.mark.parametrize("there", [True, False])
 def test_the_card_is_used_where_there_is_one(world, monkeypatch, there):
-    found = Device("gpu", "a card") if there else Device("", "there is no card")
-    monkeypatch.setattr(machine, "cuda", lambda: found)
+    device = Device("gpu", "a card") if there else Device("", "there is no card")
+    monkeypatch.setattr(machine, "cuda", lambda: device)
     monkeypatch.setattr(machine, "require", lambda: None)
     assert engine_name("auto", world) == ("sapien-gpu" if there else "sapien")
     assert engine_name("sapien", world) == "sapien"
@@ -285,7 +285,7 @@ from jaxcam.sim.task import starts
 task = make_task("roll_ball")
 world = task.scene("randomized")
 to = Assignment(world.env, world.name, False, "cpu", Sizes(world.nq, world.nv, 3))
-rows, found = np.array([0]), []
+rows, ways = np.array([0]), []
 start = starts(task, world, [0])
 moving = np.zeros(world.nv)
 moving[9:12] = 0.1, -0.3, 0  # the ball rolls
@@ -299,8 +299,8 @@ for kind in (BatchedWorlds, SeparateWorlds):
         targets = start.qpos[:, :9] + 0.02 * t * np.array([1, 0.5, 0, 0, 0, 0, 0, 0, -0.05])
         worlds.step(rows, targets)
         way.append(np.concatenate(worlds.read(rows), -1))
-    found.append(way)
-np.save("found.npy", found)
+    ways.append(way)
+np.save("ways.npy", ways)
 """
 
 
@@ -308,9 +308,9 @@ def test_batches_are_maniskills_own_worlds(maniskill, tmp_path):
     """The way of a world in a batch of one, through ManiSkill's tensors, and by SAPIEN's parts."""
     subprocess.run(
         [sys.executable, "-W", "ignore", "-c", ONE_WORLD], cwd=tmp_path, check=True,
-        env=machine.environment(), capture_output=True,
+        env=machine.child_environment(), capture_output=True,
     )  # fmt: skip
-    batched, separate = np.load(tmp_path / "found.npy")
+    batched, separate = np.load(tmp_path / "ways.npy")
     assert abs(separate[-1] - separate[0])[0, 9:11].max() > 0.1  # the ball has rolled
     assert abs(separate[-1] - separate[0])[0, 0] > 0.1  # and the arm turned
     np.testing.assert_allclose(batched, separate, atol=1e-4)

@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import av
 import numpy as np
@@ -22,7 +23,7 @@ from jaxcam.data.batches import make_dataset
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.interop.lerobot import format as lerobot_format
 from jaxcam.interop.lerobot.dataset import export_dataset
-from jaxcam.interop.lerobot.format import Writer, column_of, feature, stats_of, video_feature
+from jaxcam.interop.lerobot.format import Writer, column_of, feature, statistics_of, video_feature
 
 PIXELS = 24
 SCALARS = {"timestamp", "frame_index", "episode_index", "index", "task_index"}
@@ -170,8 +171,8 @@ def test_metadata_tells_what_rotations_are_counted_from(folder, data, demos):
     assert "R_world = exp(r) @ nominal_grip" in about["conventions"]["actions"]
     for demo, actions in zip(demos.episodes, data.actions, strict=True):
         turned = Rotation.from_rotvec(actions[: demo.length, 3:6])
-        found = turned * Rotation.from_matrix(about["nominal_grip"])
-        apart = found * Rotation.from_rotvec(demo.actions[:, 3:6]).inv()
+        reached = turned * Rotation.from_matrix(about["nominal_grip"])
+        apart = reached * Rotation.from_rotvec(demo.actions[:, 3:6]).inv()
         assert apart.magnitude().max() < 1e-6
 
 
@@ -231,8 +232,8 @@ def test_files_that_grow_too_large_are_followed_by_others(tmp_path, monkeypatch)
             noise = rng.integers(0, 255, (5, 16, 16, 3), np.uint8)
             writer.add({"action": np.zeros((5, 2), np.float32)}, {"v": noise})
         writer.finish("panda")
-    found = [(e["data/chunk_index"], e["data/file_index"]) for e in episodes(tmp_path)]
-    assert found == [(0, 0), (0, 1), (1, 0)]
+    places = [(e["data/chunk_index"], e["data/file_index"]) for e in episodes(tmp_path)]
+    assert places == [(0, 0), (0, 1), (1, 0)]
     for episode in episodes(tmp_path):
         assert pictures_of(tmp_path, episode, "v").shape == (5, 16, 16, 3)
     assert not list(tmp_path.rglob("*.part"))
@@ -240,7 +241,7 @@ def test_files_that_grow_too_large_are_followed_by_others(tmp_path, monkeypatch)
 
 def test_a_column_of_matrices():
     values = np.random.default_rng(0).normal(size=(7, 3, 4))
-    stats = stats_of(values)
+    stats = statistics_of(values)
     assert stats["q99"].shape == (3, 4)
     assert column_of(values).to_pylist() == values.tolist()
     np.testing.assert_allclose(stats["std"], values.std(0))
@@ -253,8 +254,6 @@ def test_bad_settings(bad):
 
 
 def test_without_validation_demonstrations(demos, pictures, tmp_path, monkeypatch):
-    from dataclasses import replace
-
     monkeypatch.setattr(
         "jaxcam.interop.lerobot.dataset.read_demos", lambda _: replace(demos, valid=[])
     )

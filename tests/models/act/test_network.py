@@ -1,18 +1,71 @@
-"""ACT against a PyTorch twin of the paper's network; see `golden/make_act_torch.py`."""
+"""ACT's network: its size is the authors', its weights start as PyTorch's."""
 
 import zlib
 from dataclasses import replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import places
 import pytest
-from policy_inputs import jit
+from policy_inputs import (
+    jit,
+    make,
+    shapes,
+    tiny,
+)
 
 from jaxcam.models import ACT_PRESETS, PolicySpec, make_policy
 from jaxcam.models.fusion import scale_images
 from jaxcam.models.policy import pure
 from jaxcam.models.resnet import ResNet18
+
+
+def count(tree):
+    return sum(x.size for x in jax.tree.leaves(tree))
+
+
+def test_paper_has_the_parameters_of_the_authors_network():
+    spec = PolicySpec(7, 7, 1, 256, 256, 30)
+    stats = {f"action_{k}": np.ones(7) for k in ("mean", "std")}
+    stats |= {f"proprio_{k}": np.ones(7) for k in ("mean", "std")}
+    late = ACT_PRESETS["paper"]
+    plain = replace(late, conditioning="none", twin_of="none")
+    late, plain = (shapes(make_policy(c, spec, stats)) for c in (late, plain))
+    assert count(late["vision"]["image"]) == 11_166_912
+    assert count(late["vision"]["rays"]) == 3_926_400
+    assert count(late) == 45_169_288
+    assert count(plain) == 40_980_744
+    assert count(late) - count(plain) == 3_926_400 + 512 * 512
+    assert {x.dtype for x in jax.tree.leaves(late)} == {jnp.dtype("float32")}
+
+
+def test_laptop_is_small():
+    spec = PolicySpec(7, 7, 1, 84, 84, 16)
+    stats = {f"{a}_{k}": np.ones(7) for a in ("action", "proprio") for k in ("mean", "std")}
+    assert count(shapes(make_policy(ACT_PRESETS["laptop"], spec, stats))) < 1_000_000
+
+
+def test_weights_start_as_in_pytorch():
+    policy = make(tiny("paper", "late"))
+    params = policy.init(jax.random.key(0))
+    head, latent = params["head"], params["latent"]
+
+    def largest(layer):
+        return float(jnp.abs(layer["kernel"]).max())
+
+    def near(bound):
+        return pytest.approx(bound, rel=0.15)
+
+    assert largest(head["action"]) == near(16**-0.5)  # PyTorch's default.
+    attention = head["encoder"]["layers"]["0"]["attention"]
+    assert largest(attention["query"]) == near((6 / (4 * 16)) ** 0.5)  # Packed Xavier.
+    assert largest(attention["out"]) == near((6 / (2 * 16)) ** 0.5)
+    assert largest(latent["encoder"]["layers"]["0"]["attention"]["out"]) == near(16**-0.5)
+    convs = params["vision"]["image"]["convs"]
+    assert largest(convs["0"]) == near((9 * 8) ** -0.5)
+    assert float(head["image_position"].std()) == near(1.0)
+
 
 GOLDEN = dict(np.load(places.GOLDEN / "act_torch.npz"))
 WIDTH = 16
