@@ -9,7 +9,7 @@ from running import exit_code
 
 from jaxcam.config.fields import to_json
 from jaxcam.config.train import TrainConfig
-from jaxcam.errors import ConfigError
+from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.reports.arms import read_runs
 from jaxcam.reports.comparison import write_comparison
 from jaxcam.reports.run_page import write_report
@@ -67,6 +67,31 @@ def test_markup_in_a_folders_name_is_a_name(tmp_path, capsys):
 @pytest.fixture
 def written(tmp_path):
     return shutil.copytree(PUBLISHED, tmp_path / "report")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"success": None}, "a second outcome"),
+        ({"pair": 900, "weights_sha": "0" * 16}, "weights '0000000000000000', expected"),
+    ],
+)
+def test_rows_that_were_put_into_a_report_are_refused(written, changes, message):
+    file = written / "rows.jsonl"
+    lines = [
+        json.loads(line) | {"weights_sha": "1" * 16}
+        for line in file.read_text("utf-8").splitlines()
+    ]
+    more = lines[3] | changes
+    more["success"] = (not lines[3]["success"]) if more["success"] is None else more["success"]
+    file.write_text("".join(json.dumps(line) + "\n" for line in [*lines, more]), "utf-8")
+    with pytest.raises(DatasetError, match=rf"line {len(lines) + 1}: .*{message}"):
+        read_runs([written])
+    (written / "runs.json").unlink()
+    lines = [line | {"run": "a"} for line in [*lines, more]]
+    file.write_text("".join(json.dumps(line) + "\n" for line in lines), "utf-8")
+    with pytest.raises(DatasetError, match="not of the run of those before it"):
+        read_runs([written])
 
 
 def content(folder):
