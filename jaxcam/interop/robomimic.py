@@ -226,7 +226,7 @@ def _check_environment(path: Path, name: str, settings: dict[str, Any], task: st
     hz = settings.get("control_freq", CONTROL_HZ)
     if hz != CONTROL_HZ:
         raise DatasetError(
-            f"{path}: recorded at {hz} control steps a second; ours take {CONTROL_HZ}."
+            f"{path}: recorded at {hz!r:.40} control steps a second; ours take {CONTROL_HZ}."
         )
 
 

@@ -19,9 +19,9 @@ from jaxcam.sim.types import Command, Start
 _SPEED = np.sqrt(OSC_KP) / CONTROL_HZ
 _GAIN = 1 - (1 + _SPEED) * np.exp(-_SPEED)
 """What a critically damped arm at rest covers of its lead in one control step."""
-LEAST_LEAD = (0.01, 0.1)
-"""Lead (m, rad) of a target over the grip that errors are measured by where leads are smaller:
-below it, friction and contacts move the arm as much."""
+LEADS = ((0.01, 0.1), (0.1, 1.0))
+"""Least and largest lead (m, rad) of a target over the grip that errors are measured by. Below,
+friction and contacts move the arm as much; beyond, its motors have no more to give."""
 STRAY = 0.08
 """Error of the grip in a control step, as a share of what commands move it by, that is no doubt
 yet. Recorded episodes of robosuite 1.4.1 and 1.5.2 have 0.0001 to 0.007; commands of 0.9 times
@@ -100,10 +100,10 @@ class Witness:
         errors = (
             there[1:] - after.grip_position, rotvec_from_matrix(axes[1:] @ after.grip_rotation.mT)
         )  # fmt: skip
-        arm = max(
-            _size(error) / (_GAIN * max(_size(lead), least))
-            for error, lead, least in zip(errors, leads, LEAST_LEAD, strict=True)
-        )
+        arm = 0.0
+        for error, lead, least, most in zip(errors, leads, *LEADS, strict=True):
+            lengths = np.minimum(np.linalg.norm(lead, axis=-1, keepdims=True), most)
+            arm = max(arm, _size(error) / (_GAIN * max(_size(lengths), least)))
         opening, predicted = (
             abs(x[:, self.engine.scene.fingers]).sum(-1, keepdims=True)
             for x in (self.qpos, after.qpos)
