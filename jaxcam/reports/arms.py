@@ -372,8 +372,14 @@ def _kind_of_weights(folder: Path, name: str) -> str:
     record = folder / "weights.json"
     if not record.is_file():
         return os.path.normpath(name)
-    content = json.loads(read_text(record))
-    return f"{content['kind'] or Path(name).stem} {str(content.get('sha256', ''))[:8]}".rstrip()
+    try:
+        content = json.loads(read_text(record))
+        return f"{content['kind'] or Path(name).stem} {str(content.get('sha256', ''))[:8]}".rstrip()
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        raise DatasetError(
+            f"{record} is damaged: expected file, kind and sha256 of the weights that the run "
+            "started from. Restore it, or delete it: the run is then known by their path."
+        ) from error
 
 
 def _content_of_data(folder: Path, name: str) -> str:

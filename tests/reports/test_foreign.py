@@ -135,6 +135,17 @@ def test_a_folder_with_links_to_itself_is_read_once(tmp_path):
     assert len(read_runs([tmp_path / "all"])) == 2
 
 
+@pytest.mark.parametrize("text", ["", "{", "[]", "7", "null", "{}", "[" * 10**5, "\\xff"])
+def test_a_record_of_weights_that_is_damaged_is_told(tmp_path, text):
+    config = resolve(TrainConfig(weights="resnet18.pth"), accelerator=False)
+    (tmp_path / "config.json").write_text(to_json(config))
+    (tmp_path / "weights.json").write_text(text)
+    with pytest.raises(DatasetError, match=r"weights.json is damaged"):
+        read_runs([tmp_path])
+    (tmp_path / "weights.json").write_text('{"kind": null, "sha256": "123456789"}')
+    assert read_runs([tmp_path])[0].settings["weights"] == "resnet18 12345678"
+
+
 def test_a_page_shows_no_files_from_elsewhere(tmp_path):
     secret = tmp_path / "secret"
     secret.write_bytes(b"my secret")
