@@ -31,6 +31,8 @@ FINGERS_STRAY = 0.5
 otherwise in 1.4), commands a step too late 0.65, of 0 for open and 1 for closed 2.5."""
 LEAST_OPENING = 1e-3
 """Change (m) of the fingers' opening that their errors are measured by where they move less."""
+STILL = 1e-4
+"""Change (rad) of the joints in a control step below which the arm stands still."""
 OTHER_PACE = 1.2
 """How many times as fast as their speeds joints may move: twice at half the rate."""
 
@@ -67,10 +69,10 @@ class Witness:
         moves = np.diff(self.qpos[:, self.engine.scene.arm], axis=0)
         speeds = self.qvel[:, self.engine.scene.arm]
         expected = (speeds[1:] + speeds[:-1]) / 2 / CONTROL_HZ
-        size = np.sqrt((expected**2).sum() * (moves**2).sum())
-        if np.sqrt(size / len(moves)) < 1e-4:
-            return  # it stands still
-        pace = float((moves * expected).sum() / max((expected**2).sum(), 1e-12))
+        if _size(moves) < STILL:
+            return
+        size = float((expected**2).sum())
+        pace = float((moves * expected).sum()) / size if size else np.inf
         if not 1 / OTHER_PACE <= pace <= OTHER_PACE:
             raise DatasetError(
                 f"its joints move {pace:.2g} times as far from state to state as their speeds say: "

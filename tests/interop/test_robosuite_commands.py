@@ -96,13 +96,16 @@ def spoil_actions(parts, how):
     return parts
 
 
-@pytest.mark.parametrize("version", VERSIONS)
+ASTRAY = ("nothing", "one step late", "one step early", "a tenth less", "a quarter more", "no x",
+          "mirrored", "mirrored y", "turned", "askew")  # fmt: skip
+LOOSER = ("one step late", "a tenth less", "mirrored y", "askew")
+"""Those that come nearest to what recordings of 1.4 do, which its other physics tells less well."""
+
+
 @pytest.mark.parametrize(
-    "how",
-    ["nothing", "one step late", "one step early", "a tenth less", "a quarter more", "no x",
-     "mirrored", "mirrored y", "turned", "askew"],
-)  # fmt: skip
-def test_commands_that_lead_elsewhere_than_the_states_are_refused(tmp_path, version, how):
+    ("how", "version"), [*((how, "1.5") for how in ASTRAY), *((how, "1.4") for how in LOOSER)]
+)
+def test_commands_that_lead_elsewhere_than_the_states_are_refused(tmp_path, how, version):
     path = write(tmp_path / "bad.hdf5", spoil_actions(recorded(version), how))
     with pytest.raises(DatasetError, match=r"data/demo_\d: its commands, .*--actions states"):
         imported(path)
@@ -124,10 +127,13 @@ def test_deltas_said_to_be_absolute_are_refused(tmp_path, files, version):
     np.testing.assert_array_equal(a.actions, b.actions)
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-@pytest.mark.parametrize("how", ["turned around", "0 opens", "0 closes", "still", "late"])
-def test_gripper_commands_that_fingers_do_not_follow_are_refused(tmp_path, version, how):
-    wanted = imported(write(tmp_path / "good.hdf5", recorded(version)), validation=0).train
+@pytest.mark.parametrize(
+    ("how", "version"),
+    [*((how, "1.5") for how in ("turned around", "0 opens", "0 closes", "still", "late")),
+     ("late", "1.4")],
+)  # fmt: skip
+def test_gripper_commands_that_fingers_do_not_follow_are_refused(tmp_path, files, how, version):
+    wanted = imported(files[version], validation=0).train
     path = write(tmp_path / "bad.hdf5", spoil_actions(recorded(version), how))
     with pytest.raises(DatasetError, match="demo_0: its fingers do not go where commands send"):
         imported(path)
@@ -137,7 +143,7 @@ def test_gripper_commands_that_fingers_do_not_follow_are_refused(tmp_path, versi
         assert abs(np.argmax(demo.actions[:, 6] > 0) - np.argmax(right.actions[:, 6] > 0)) <= 2
 
 
-@pytest.mark.parametrize("how", ["half the rate", "twice the rate", "backwards"])
+@pytest.mark.parametrize("how", ["half the rate", "twice the rate", "backwards", "no speeds"])
 @pytest.mark.parametrize("actions", ["commands", "states"])
 def test_states_at_another_pace_than_their_speeds_say_are_refused(tmp_path, how, actions):
     parts = recorded("1.5")
@@ -147,6 +153,8 @@ def test_states_at_another_pace_than_their_speeds_say_are_refused(tmp_path, how,
         rows = rows[::-1] if how == "backwards" else rows
         rows = rows.repeat(2) if how == "twice the rate" else rows
         parts[f"states_{i}"], parts[f"actions_{i}"] = states[rows], parts[f"actions_{i}"][rows]
+        if how == "no speeds":
+            parts[f"states_{i}"][:, 17:] = 0
     path = write(tmp_path / "bad.hdf5", parts)
     with pytest.raises(DatasetError, match=r"demo_0: its joints move .* times as far"):
         imported(path, actions=actions)
