@@ -25,7 +25,7 @@ from jaxcam.results.stats import Estimate, latest_rows, success_rate
 from jaxcam.runs.identity import Settings, changes, identity, plain, read_config
 from jaxcam.runs.manifests import sides
 from jaxcam.runs.metrics import read_metrics
-from jaxcam.runs.rollouts import read_rows, read_run_rows
+from jaxcam.runs.rollouts import of_one_run, read_rows, read_run_rows
 
 _KEPT = ("step", "split", "pair", "pair_sha", "weights_sha", "success", "status", "steps",
          "azimuth_deg", "elevation_deg", "distance", "renderer", "width")  # fmt: skip
@@ -305,27 +305,27 @@ def read_results(folder: Path, split: str) -> list[Run]:
         # Where a run was evaluated in several ways, the settings list them all.
         shared |= {k: v for k, v in record.settings.items()
                    if k in USUAL_WAY and not isinstance(v, list)}  # fmt: skip
-        rows = latest_rows(
-            Row.from_json(line | shared, where) for where, line in lines.get(record.run, [])
-        )
-        rows = [row for row in rows if row.split == split]
+        given = lines.get(record.run, [])
+        rows = of_one_run((where, Row.from_json(line | shared, where)) for where, line in given)
+        rows = [row for row in latest_rows(rows) if row.split == split]
         runs.append(Run(record.name, None, record.settings, record.seed, rows, record.seconds))
     return runs
 
 
 def _read_rows(folder: Path, split: str) -> list[Run]:
     """The runs of rows alone: their settings are known as far as rows say them."""
-    runs: dict[tuple[Any, ...], list[Row]] = {}
-    for row in latest_rows(read_rows(folder / "rows.jsonl")):
-        if row.split == split:
-            key = tuple(getattr(row, name) for name in (*NAMED, "seed", "run"))
-            runs.setdefault(key, []).append(row)
-    return [
-        Run(name or folder.name, None,
-            {k: v or NOT_RECORDED for k, v in zip(NAMED, shared, strict=True)} | _ways(rows),
-            seed, rows)
-        for (*shared, seed, name), rows in runs.items()
-    ]  # fmt: skip
+    file = folder / "rows.jsonl"
+    of_runs: dict[tuple[Any, ...], list[tuple[str, Row]]] = {}
+    for number, row in enumerate(read_rows(file), start=1):
+        key = tuple(getattr(row, name) for name in (*NAMED, "seed", "run"))
+        of_runs.setdefault(key, []).append((f"{file}, line {number}", row))
+    runs = []
+    for (*shared, seed, name), given in of_runs.items():
+        rows = [row for row in latest_rows(of_one_run(given)) if row.split == split]
+        settings = {k: v or NOT_RECORDED for k, v in zip(NAMED, shared, strict=True)}
+        if rows:
+            runs.append(Run(name or folder.name, None, settings | _ways(rows), seed, rows))
+    return runs
 
 
 def _merge(one: Run, other: Run) -> Run:
@@ -372,8 +372,14 @@ def _kind_of_weights(folder: Path, name: str) -> str:
     record = folder / "weights.json"
     if not record.is_file():
         return os.path.normpath(name)
-    content = json.loads(read_text(record))
-    return f"{content['kind'] or Path(name).stem} {str(content.get('sha256', ''))[:8]}".rstrip()
+    try:
+        content = json.loads(read_text(record))
+        return f"{content['kind'] or Path(name).stem} {str(content.get('sha256', ''))[:8]}".rstrip()
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        raise DatasetError(
+            f"{record} is damaged: expected file, kind and sha256 of the weights that the run "
+            "started from. Restore it, or delete it: the run is then known by their path."
+        ) from error
 
 
 def _content_of_data(folder: Path, name: str) -> str:

@@ -94,6 +94,19 @@ def test_statistics_are_of_the_training_demonstrations(dataset, demos, scene):
         np.testing.assert_allclose(stats[key], value, rtol=1e-3, atol=1e-6, err_msg=key)
 
 
+def test_statistics_of_many_steps_do_not_drift(dataset):
+    """In float32 the mean of 400,000 times 0.3 is 5e-4 off, and that is then the deviation."""
+    count, layout = len(dataset.lengths), dataset.pictures.layout
+    longer = replace(layout, lengths=np.full(count, 100_000))
+    still = {name: np.full((count, 100_000, 3), 0.3, np.float32)
+             for name in ("actions", "keyframes", "proprio")}  # fmt: skip
+    pictures = replace(dataset.pictures, layout=longer)
+    stats = replace(dataset, pictures=pictures, **still).stats()
+    for name in ("action", "keyframe", "proprio"):
+        np.testing.assert_array_equal(stats[f"{name}_mean"], np.float32(0.3))
+        np.testing.assert_array_equal(stats[f"{name}_std"], np.float32(STD_FLOOR))
+
+
 @pytest.mark.parametrize("space", ACTION_SPACES)
 def test_action_spaces_differ_in_actions_alone(space, demos, pictures, scene, dataset):
     other = make_dataset(demos, pictures, space, scene)
