@@ -1,6 +1,7 @@
 """Files of weights: reading, recognising, loading, refusing."""
 
 import contextlib
+import io
 import json
 import pickle
 import tracemalloc
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 from places import GOLDEN
 from policy_inputs import make_stats, shapes
+from rich.console import Console
 
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import CheckpointError, ConfigError
@@ -255,15 +257,16 @@ def test_missing_file_and_damaged_safetensors(tmp_path):
         read_weights(tmp_path / "bad.safetensors")
 
 
-def test_safetensors_are_read_and_hashed(tmp_path, capsys):
+def test_safetensors_are_read_and_hashed(tmp_path):
     numpy = pytest.importorskip("safetensors.numpy")
     file = tmp_path / "model.safetensors"
     numpy.save_file({"conv1.weight": np.ones((2, 3), np.float32)}, file)
     weights = read_weights(file)
     assert weights.arrays["conv1.weight"].shape == (2, 3)
     assert weights.kind is not None
-    show(weights)
-    told = capsys.readouterr().out
+    console = Console(file=io.StringIO(), width=300)
+    show(weights, console)
+    told = console.file.getvalue()
     assert "conv1.weight" in told
     assert "2x3" in told
     assert "ResNet-18 (torchvision), 1 arrays, 6 numbers" in told.replace("\n", " ")

@@ -5,8 +5,6 @@ goes into the network and what comes out of it (`jaxcam.interop.lerobot.pipeline
 `jaxcam.interop.lerobot.layout` knows.
 """
 
-import os
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +15,7 @@ import numpy as np
 
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import CheckpointError
+from jaxcam.files.whole import whole
 from jaxcam.interop.lerobot.layout import (
     COUNTERPARTS,
     Counterpart,
@@ -96,18 +95,17 @@ def export_policy(inputs: PolicyInputs, out: Path) -> list[str]:
     config = config_of(settings, spec, inputs.config.ensemble)
     arrays = _arrays(counterpart, settings, spec, inputs.params)
     scales = _scales(name, settings, spec, inputs.stats)
-    part = out.with_name(out.name + ".part")
-    shutil.rmtree(part, ignore_errors=True)
     try:
-        part.mkdir(parents=True)
-        safetensors_numpy().save_file(arrays, part / "model.safetensors")
-        write_json(part / "config.json", config)
-        write_pipelines(part, config, scales)
-        about = {k: getattr(inputs.config, k) for k in ABOUT}
-        write_json(part / "jaxcam.json", about | {"step": inputs.step})
-        os.replace(part, out)
+        with whole(out, folder=True) as part:
+            safetensors_numpy().save_file(arrays, part / "model.safetensors")
+            write_json(part / "config.json", config)
+            write_pipelines(part, config, scales)
+            about = {k: getattr(inputs.config, k) for k in ABOUT}
+            write_json(part / "jaxcam.json", about | {"step": inputs.step})
     except OSError as error:
-        raise CheckpointError(f"{part}: {error.strerror or error}. Make room, repeat.") from error
+        raise CheckpointError(
+            f"{out}: cannot be written: {error.strerror or error}. Make room and repeat."
+        ) from error
     notes = []
     if inputs.config.ensemble and is_delta(inputs.config.action_space):
         notes.append(DELTAS_AVERAGED)

@@ -317,16 +317,11 @@ def _listed(what: str, names: list[str]) -> str:
     return f" {len(names)} {what}: {', '.join(names[:SHOWN])}{more}." if names else ""
 
 
-def show(weights: Weights) -> None:
+def show(weights: Weights, console: Console) -> None:
     """Print what a file is, and its arrays."""
     table = Table("name", "shape", "type", box=None)
     for name, array in weights.arrays.items():
-        table.add_row(
-            name if name.isprintable() else repr(name),
-            "x".join(map(str, array.shape)) or "scalar",
-            str(array.dtype),
-        )
-    console = Console(markup=False)
+        table.add_row(name, "x".join(map(str, array.shape)) or "scalar", str(array.dtype))
     console.print(table)
     count = sum(array.size for array in weights.arrays.values())
     kind = weights.kind.title if weights.kind else "of an unknown kind"
