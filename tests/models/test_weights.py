@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 import pickle
+import struct
 import tracemalloc
 import zipfile
 from dataclasses import replace
@@ -289,6 +290,35 @@ def test_safetensors_of_float8_are_read(tmp_path):
     assert arrays.keys() == {"F8_E4M3.weight", "F32.weight"}
     np.testing.assert_array_equal(arrays["F8_E4M3.weight"].astype(np.float32), [0.5, -2, 3])
     np.testing.assert_array_equal(arrays["F32.weight"], [1, 1])
+
+
+def test_safetensors_of_unknown_numbers_are_refused_by_their_header(tmp_path):
+    pytest.importorskip("safetensors")
+    entries = {"large": {"dtype": "F32", "shape": [2**18], "data_offsets": [0, 2**20]},
+               "odd": {"dtype": "F4", "shape": [4], "data_offsets": [2**20, 2**20 + 2]}}  # fmt: skip
+    header = json.dumps(entries).encode()
+    file = tmp_path / "odd.safetensors"
+    file.write_bytes(len(header).to_bytes(8, "little") + header + bytes(2**20 + 2))
+    tracemalloc.start()
+    with pytest.raises(CheckpointError, match=r"odd \(F4\)"):
+        read_weights(file)
+    assert tracemalloc.get_traced_memory()[1] < 2**20
+    tracemalloc.stop()
+
+
+@pytest.mark.parametrize("large", [False, True])
+def test_an_archive_of_countless_files_is_refused_by_its_directory(tmp_path, large):
+    """Whatever count it declares: here one file, in a list of twelve megabytes."""
+    size = 12 * 2**20
+    end = struct.pack("<4s4H2LH", b"PK\5\6", 0, 0, 1, 1, 2**32 - 1 if large else size, 0, 0)
+    if large:
+        end = (struct.pack("<4sQ2H2L4Q", b"PK\6\6", 44, 45, 45, 0, 0, 1, 1, size, 0)
+               + struct.pack("<4sLQL", b"PK\6\7", 0, size, 1) + end)  # fmt: skip
+    for name, rest in (("a.pt", end), ("commented.pt", end[:-2] + b"\x09\0a comment")):
+        path = tmp_path / name
+        path.write_bytes(bytes(size) + rest)
+        with pytest.raises(CheckpointError, match="far more memory"):
+            read_torch(path)
 
 
 @pytest.mark.parametrize(
