@@ -294,8 +294,9 @@ def test_safetensors_of_float8_are_read(tmp_path):
 
 def test_safetensors_of_unknown_numbers_are_refused_by_their_header(tmp_path):
     pytest.importorskip("safetensors")
-    entries = {"large": {"dtype": "F32", "shape": [2**18], "data_offsets": [0, 2**20]},
-               "odd": {"dtype": "F4", "shape": [4], "data_offsets": [2**20, 2**20 + 2]}}  # fmt: skip
+    large = {"dtype": "F32", "shape": [2**18], "data_offsets": [0, 2**20]}
+    odd = {"dtype": "F4", "shape": [4], "data_offsets": [2**20, 2**20 + 2]}
+    entries = {"large": large, "odd": odd}
     header = json.dumps(entries).encode()
     file = tmp_path / "odd.safetensors"
     file.write_bytes(len(header).to_bytes(8, "little") + header + bytes(2**20 + 2))

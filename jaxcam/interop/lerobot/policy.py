@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from jaxcam.config.train import TrainConfig
-from jaxcam.errors import CheckpointError
+from jaxcam.errors import CheckpointError, ConfigError
 from jaxcam.files.whole import whole
 from jaxcam.interop.lerobot.layout import (
     COUNTERPARTS,
@@ -30,6 +30,7 @@ from jaxcam.interop.lerobot.pipelines import (
     SCALINGS,
     STATE,
     STATISTICS,
+    features_of,
     image_scaling_of,
     read_json,
     safetensors_numpy,
@@ -206,12 +207,12 @@ def read_foreign(folder: Path, config: TrainConfig | None = None) -> Foreign:
         )
     try:
         counterpart = check_type(theirs)
-        inputs = theirs.get("input_features") or {}
-        images = [k for k, feature in inputs.items() if feature["type"] == "VISUAL"]
+        inputs = features_of(folder / "config.json", theirs, "input_features")
+        images = [k for k, feature in inputs.items() if feature.type == "VISUAL"]
         settings, spec = settings_of(theirs, image_scaling_of(folder, images))
         sizes = {STATE: spec.proprio_dim, ACTION: spec.action_dim}
         stats = stats_of(folder, counterpart.scaling, sizes)
-    except CheckpointError as error:
+    except (CheckpointError, ConfigError) as error:
         raise CheckpointError(f"{folder} cannot be had here: {error}") from error
     if config is not None:
         _check_fit(folder, config, spec)

@@ -28,7 +28,7 @@ LEGACY_MAGIC = 0x1950A86A20F9469CFC6C
 MOST_PICKLE, MOST_STEPS = 2**25, 2**20
 """Bytes and instructions of the longest pickle that is read; that of 500 tensors has 20,000."""
 MOST_DIRECTORY = 2**22
-"""Bytes of the list of files in the longest archive that is read; that of 500 tensors has 40,000."""
+"""Bytes of an archive's list of files, in memory ten times as many; 500 tensors have 40,000."""
 MOST_AXES, MOST_NESTED = 64, 100
 """Axes of a tensor, and containers around it."""
 
@@ -212,7 +212,7 @@ def read_torch(path: str | Path) -> dict[str, np.ndarray]:
     try:
         allowance = _Allowance(Path(path).stat().st_size)
         if zipfile.is_zipfile(path):
-            if _directory_size(Path(path)) > MOST_DIRECTORY:  # of which ZipFile makes ten times that
+            if _directory_size(Path(path)) > MOST_DIRECTORY:
                 raise _OutsizedError
             with zipfile.ZipFile(path) as archive:
                 return _read_zip(archive, allowance)
