@@ -130,6 +130,7 @@ def test_no_device_no_home_and_no_caches(commands, tmp_path):
     nowhere = dict.fromkeys(("HOME", "WARP_CACHE_PATH", "XDG_CACHE_HOME"), "/proc/nowhere")
     asked = {words[0]: words for words in commands}
     asked["check"], asked["report"] = ["check", "--env"], ["report", "none"]
+    asked["collect"] = ["collect", "--data-dir", "/proc/nowhere"]
     words = [[str(tmp_path / "x") if w == "PLACE" else w for w in some] for some in asked.values()]
     done = subprocess.run(
         [sys.executable, "-c", WALK, json.dumps(words)], capture_output=True, text=True,

@@ -3,9 +3,7 @@
 The commands run in this process and in an empty folder, where nothing long can begin.
 """
 
-import contextlib
 import dataclasses
-import os
 from importlib import import_module
 
 import pytest
@@ -195,28 +193,3 @@ def test_an_engine_that_cannot_step_the_task_is_told_before_anything_is_made(
     assert exit_code("train", "--task", task, "--engine", engine) == 2
     assert "cannot step this task's world" in " ".join(capsys.readouterr().err.split())
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give its rights up for a test")
-@pytest.mark.parametrize("name", sorted(POSITIONAL))
-def test_no_rights(name, tmp_path, capsys):
-    for file in ("file", "folder/config.json", "folder/rows.jsonl"):
-        path = tmp_path / file
-        path.parent.mkdir(exist_ok=True)
-        path.write_text("{}")
-    tmp_path.chmod(0o755)
-    (tmp_path / "file").chmod(0)
-    (tmp_path / "folder").chmod(0)
-    places = [tmp_path / "file", tmp_path / "folder"]
-    with no_rights():
-        for place in places:
-            ends(capsys, name, *[place] * POSITIONAL[name])
-
-
-@contextlib.contextmanager
-def no_rights():
-    os.seteuid(65534)
-    try:
-        yield
-    finally:
-        os.seteuid(0)

@@ -54,11 +54,11 @@ def export_dataset(config: LerobotConfig, console: Console | None = None) -> Pat
     if not chosen:
         raise DatasetError(f"{demos.path}: no validation demonstrations to export.")
     _refuse_existing(out)
-    scene = demos.world
-    pictures = load_pictures(demos, config.resolution, console)
-    data = make_dataset(demos, pictures, config.action_space, scene)
-    with exclusive(out, console):
+    with exclusive(out, console):  # before anything is drawn: it needs a place to go to
         _refuse_existing(out)
+        scene = demos.world
+        pictures = load_pictures(demos, config.resolution, console)
+        data = make_dataset(demos, pictures, config.action_space, scene)
         try:
             with whole(out, folder=True) as part:
                 _write(part, config, demos, data, chosen, scene, console)
