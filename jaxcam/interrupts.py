@@ -10,7 +10,6 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 from types import FrameType
 
 
@@ -67,7 +66,7 @@ def end_commands_at_once() -> None:
     """
     words = sys.orig_argv
     module = words[words.index("-m") + 1 :][:1] if sys.argv[:1] == ["-m"] else [""]
-    script = Path(sys.argv[0]).name if sys.argv else ""
+    script = os.path.basename(sys.argv[0]) if sys.argv else ""  # pathlib would take its time
     is_default = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if is_default and (script == "jaxcam" or module[0].partition(".")[0] == "jaxcam"):
         for number in (signal.SIGINT, signal.SIGTERM):

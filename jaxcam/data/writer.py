@@ -153,7 +153,7 @@ class DemoWriter:
         read_demos(whole)
         os.replace(whole, self.path)
         self._lock.free()
-        with contextlib.suppress(OSError):  # the dataset is complete all the same
+        with contextlib.suppress(OSError, DatasetError):  # the dataset is complete all the same
             discard(self.path)
         return self.path
 
