@@ -3,11 +3,11 @@
 import sys
 from importlib import import_module
 
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from jaxcam.console.command import CommandLine, print_error, reader_may_leave
+from jaxcam.console.terminal import Terminal
 from jaxcam.errors import ConfigError, closest
 
 NAMES = (
@@ -42,7 +42,7 @@ def print_commands() -> None:
     table = Table(box=None, show_header=False, padding=(0, 2))
     for name in NAMES:
         table.add_row(Text(name, "bold"), Text(command(name)[1]))
-    console = Console()
+    console = Terminal()
     console.print("jaxcam COMMAND …: robot policies that know where the camera is.\n")
     console.print(table)
     console.print("\njaxcam COMMAND --help lists its flags; python -m jaxcam.COMMAND is the same.")

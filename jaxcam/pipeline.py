@@ -213,7 +213,7 @@ def _finish(
     report = write_report(run.path)
     if console:
         console.print(f"Success on {config.pairs} held-out pairs: {estimate}")
-        console.print(f"Report: {report}", markup=False, soft_wrap=True)
+        console.print(f"Report: {report}", soft_wrap=True)
 
 
 def _log_success(run: RunDir, step: int, estimate: Estimate) -> None:

@@ -37,3 +37,26 @@ def test_a_command_that_is_not_there_is_told_with_the_closest():
 def test_every_command_has_help(name, capsys):
     assert exit_code(name, "--help") == 0
     assert f"jaxcam {name}" in capsys.readouterr().out
+
+
+NOBODY_READS = """
+import os, sys
+from importlib import import_module
+from jaxcam.__main__ import NAMES
+for name in NAMES:
+    command = import_module(f"jaxcam.{name}").COMMAND
+    reader, writer = os.pipe()
+    if not (child := os.fork()):
+        os.dup2(writer, 1)
+        os.close(reader), os.close(writer)
+        command.run(["--help"], prog=name)
+    os.close(reader), os.close(writer)
+    print(name, os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
+"""
+
+
+def test_help_whose_reader_has_gone_ends_quietly():
+    """As in `jaxcam train --help | head -1`."""
+    done = subprocess.run([sys.executable, "-c", NOBODY_READS], capture_output=True, text=True)
+    assert done.stderr == ""
+    assert done.stdout.splitlines() == [f"{name} 141" for name in table.NAMES]

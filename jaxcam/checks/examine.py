@@ -124,9 +124,7 @@ def main(config: CheckConfig, console: Console) -> int:
         findings = report.findings
         show(findings, console)
         try:
-            console.print(f"Page: {write_page(report, page)}", soft_wrap=True, markup=False)
+            console.print(f"Page: {write_page(report, page)}", soft_wrap=True)
         except OSError as error:
-            console.print(
-                f"The page cannot be written ({error}): choose another --out.", markup=False
-            )
+            console.print(f"The page cannot be written ({error}): choose another --out.")
     return int(worst(findings) == "bad")

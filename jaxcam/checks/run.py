@@ -20,7 +20,7 @@ from jaxcam.errors import JaxcamError
 from jaxcam.files.paths import absolute, home
 from jaxcam.runs.environment import environment
 from jaxcam.runs.identity import stored_config, unlike
-from jaxcam.runs.manifests import DamagedError
+from jaxcam.runs.manifests import DamagedError, starting_weights
 from jaxcam.runs.metrics import read_metrics
 from jaxcam.training.checkpoint import checkpoint_steps
 from jaxcam.training.digests import read_all
@@ -71,6 +71,7 @@ def check_run(folder: Path, console: Console | None = None) -> Iterator[Finding]
         "configuration": lambda: _misfits(config, checkpoints),
         "checkpoints": lambda: _checkpoints(checkpoints),
         "set aside": lambda: _set_aside(folder),
+        "weights": lambda: _weights(folder),
         "dataset": lambda: [_dataset(folder, config, checkpoints)],
         "metrics": lambda: [_metrics(folder)],
         "evaluation": lambda: check_evaluations(folder, config.pairs),
@@ -151,6 +152,13 @@ def _set_aside(folder: Path) -> Iterator[Finding]:
             where="damaged/",
             fix="Delete them when you know why.",
         )
+
+
+def _weights(folder: Path) -> Iterator[Finding]:
+    """A finding where the run started from weights."""
+    if record := starting_weights(folder):
+        kind = record.kind or "of an unknown kind"
+        yield good("weights", got=f"started from {kind}, {record.sha256[:8]}", where="weights.json")
 
 
 def _dataset(folder: Path, config: TrainConfig, checkpoints: Verified) -> Finding:

@@ -133,7 +133,7 @@ def with_overrides(settings: C, pairs: Iterable[str]) -> C:
     # Types first: the settings' own checks compute with them.
     hints = typing.get_type_hints(type(settings))
     for name, value in values.items():
-        _check_type("model: ", name, value, hints[name])
+        check_value("model: ", name, value, hints[name])
     return dataclasses.replace(settings, **values)
 
 
@@ -151,10 +151,21 @@ def check_types(config: SettingsRecord, where: str = "") -> None:
     """
     for field, hint in typing.get_type_hints(type(config)).items():
         if typing.get_origin(hint) is not ClassVar:
-            _check_type(where, field, getattr(config, field), hint)
+            check_value(where, field, getattr(config, field), hint)
 
 
-def _check_type(where: str, field: str, value: Any, hint: Any) -> None:
+def check_value(where: str, field: str, value: Any, hint: Any) -> None:
+    """Refuses a value whose type is not the annotated one, see `check_types`.
+
+    Args:
+        where: Start of the message.
+        field: Its name.
+        value: The value.
+        hint: Its annotation.
+
+    Raises:
+        ConfigError: It is of another type.
+    """
     kinds = _kinds(hint)
     is_number = type(value) is int and float in kinds
     if object not in kinds and type(value) not in kinds and not is_number:
@@ -167,7 +178,7 @@ def _check_type(where: str, field: str, value: Any, hint: Any) -> None:
     if type(value) is str and not _can_be_name(value):
         raise ConfigError(f"{where}{field} has what no file's name can: {short(value)}.")
     for part_hint, part in _parts(f"{where}{field}", hint, value):
-        _check_type(where, field, part, part_hint)
+        check_value(where, field, part, part_hint)
     if not isinstance(value, tuple | list | dict) and (names := names_of(hint)):
         _check_names(f"{where}Unknown {field}", value, names)
 

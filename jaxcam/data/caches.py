@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxcam.errors import DatasetError
+from jaxcam.files.whole import whole
 
 PICTURES_AT_ONCE = 512
 """Pictures that are drawn, kept and verified together."""
@@ -210,16 +211,10 @@ def _read(path: Path, dtype: np.dtype, count: int) -> np.ndarray:
 
 
 def _write(path: Path, numbers: np.ndarray) -> None:
-    new = path.with_name(f"{path.name}.{os.getpid()}")
-    try:
-        with open(new, "wb") as file:
-            file.write(numbers.tobytes())
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(new, path)
-    except OSError:
-        new.unlink(missing_ok=True)
-        raise
+    with whole(path) as part, open(part, "wb") as file:
+        file.write(numbers.tobytes())
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def _write_part(path: Path, numbers: np.ndarray, rows: np.ndarray) -> None:

@@ -36,7 +36,7 @@ def exclusive(path: Path, console: Console | None = None) -> Iterator[None]:
             lock.acquire(blocking=False)
         except Timeout:
             if console:
-                console.print(f"Waiting for the process that is making {path.name}.", markup=False)
+                console.print(f"Waiting for the process that is making {path.name}.")
             while not _acquired(lock):
                 check_stop()
     except OSError as error:

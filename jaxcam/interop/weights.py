@@ -15,14 +15,15 @@ def main(config: WeightsConfig, console: Console) -> None:
     if config.export:
         inputs = load_policy_inputs(config.source, config.step)
         notes = export_policy(inputs, absolute(config.export))
-        print(f"{config.export}: a LeRobot {VERSION} checkpoint.")
+        notes = [f"{config.export}: a LeRobot {VERSION} checkpoint.", *notes]
     elif config.run_dir:
         names = ("task", "scene", "action_space", "rotations", "run_dir")
         config_of_run = TrainConfig(**{k: getattr(config, k) for k in names})
         notes = adopt(absolute(config.source), config_of_run)
-        print(f"{config.run_dir}: a run. Next: python -m jaxcam.evaluate {config.run_dir}")
+        done = f"{config.run_dir}: a run. Next: python -m jaxcam.evaluate {config.run_dir}"
+        notes = [done, *notes]
     else:
         notes = []
-        show_weights(read_weights(config.source))
+        show_weights(read_weights(config.source), console)
     for note in notes:
-        print(note)
+        console.print(note, soft_wrap=True, highlight=False)

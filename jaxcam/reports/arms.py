@@ -15,7 +15,7 @@ from typing import Any
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.files.jsonl import line_of, read_jsonl
 from jaxcam.files.locks import exclusive
-from jaxcam.files.paths import absolute, read_text
+from jaxcam.files.paths import absolute
 from jaxcam.files.whole import write_atomically
 from jaxcam.reports.records import NAMED, NOT_RECORDED, read_records
 from jaxcam.results.differences import PairedDifference, paired_difference
@@ -23,7 +23,7 @@ from jaxcam.results.protocol import Protocol, counted, lacks, protocol_of
 from jaxcam.results.rows import USUAL_WAY, Row
 from jaxcam.results.stats import Estimate, latest_rows, success_rate
 from jaxcam.runs.identity import Settings, changes, identity, plain, read_config
-from jaxcam.runs.manifests import sides
+from jaxcam.runs.manifests import sides, starting_weights
 from jaxcam.runs.metrics import read_metrics
 from jaxcam.runs.rollouts import of_one_run, read_rows, read_run_rows
 
@@ -369,17 +369,10 @@ def _ways(rows: Iterable[Row]) -> Settings:
 
 def _kind_of_weights(folder: Path, name: str) -> str:
     """What the weights are, and the start of their digest; their path if no record tells."""
-    record = folder / "weights.json"
-    if not record.is_file():
+    record = starting_weights(folder)
+    if record is None:
         return os.path.normpath(name)
-    try:
-        content = json.loads(read_text(record))
-        return f"{content['kind'] or Path(name).stem} {str(content.get('sha256', ''))[:8]}".rstrip()
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
-        raise DatasetError(
-            f"{record} is damaged: expected file, kind and sha256 of the weights that the run "
-            "started from. Restore it, or delete it: the run is then known by their path."
-        ) from error
+    return f"{record.kind or Path(name).stem} {record.sha256[:8]}".rstrip()
 
 
 def _content_of_data(folder: Path, name: str) -> str:

@@ -12,6 +12,7 @@ from pathlib import Path
 from rich.console import Console
 
 from jaxcam.config.commands import ReportConfig
+from jaxcam.console.words import plain_line
 from jaxcam.errors import ConfigError
 from jaxcam.files.paths import absolute
 from jaxcam.files.whole import check_free, write_atomically
@@ -30,7 +31,7 @@ from jaxcam.reports.document import (
     to_markdown,
 )
 from jaxcam.reports.html import own_files
-from jaxcam.reports.names import file_name, plain_line
+from jaxcam.reports.names import file_name
 from jaxcam.reports.studies import STUDIES, arm_names, arms_of, panels, place
 from jaxcam.reports.study_figures import bars, curves, maps, rates_and_gains
 from jaxcam.reports.style import save
@@ -221,5 +222,5 @@ def main(config: ReportConfig, console: Console) -> None:
         name = " ".join(str(s[k]) for k in ("policy", "task", "scene", "conditioning"))
         whole = f" [{', '.join(arm.lacks)}]" if arm.lacks else ""
         line = plain_line(f"{name}, {arm.label()}: {arm.estimate}{whole}")
-        console.print(line, markup=False, soft_wrap=True)
-    console.print(f"Report: {written}", markup=False, soft_wrap=True)
+        console.print(line, soft_wrap=True)
+    console.print(f"Report: {written}", soft_wrap=True)

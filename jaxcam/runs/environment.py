@@ -42,7 +42,7 @@ def record_environment(folder: Path) -> None:
     """
     file = folder / "env.txt"
     text = "".join(f"{name} {value}\n" for name, value in environment().items())
-    before = file.read_text("utf-8", errors="replace") if file.exists() else text
+    before = file.read_text("utf-8", errors="replace") if file.is_file() else text
     if before != text:
         _log.warning(
             "The environment changed, so results are not bit-exact: %s.",

@@ -5,10 +5,12 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
 import pytest
+from odd_files import flipped, odd_texts
 from places import HELPERS
 from running import exit_code
 
@@ -18,6 +20,7 @@ from jaxcam.data.demos import read_demos
 from jaxcam.data.pictures import load_pictures
 from jaxcam.data.splits import FIRST_SEED
 from jaxcam.errors import DatasetError
+from jaxcam.interop import maniskill_files
 from jaxcam.interop.formats import recognise
 from jaxcam.interop.importing import succeeds
 from jaxcam.interop.maniskill import import_trajectories
@@ -343,3 +346,21 @@ def test_nothing_is_written_of_failures_nor_over_a_dataset(maniskill, tmp_path):
     imported(tmp_path, "made", out, validation=0)
     with pytest.raises(DatasetError, match=r"out.hdf5 exists"):
         imported(tmp_path, "made", out, validation=0)
+
+
+def test_odd_values_and_flipped_bits_of_the_json_are_read_or_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(maniskill_files, "make_task", lambda name: SimpleNamespace(scene=str))
+    (tmp_path / "a.h5").write_bytes(b"read later")
+    episode = {"episode_id": 0, "control_mode": "pd_joint_pos", "success": True}
+    env = {"env_id": "PushCube-v1", "env_kwargs": {"sim_config": {"control_freq": 20}}}
+    whole = {"env_info": env, "episodes": [episode, episode], "source_type": "motionplanning"}
+    texts = [text.encode("utf-8", "surrogatepass") for text in odd_texts([whole])]
+    refused = 0
+    for content in [*texts, *flipped(json.dumps(whole).encode())]:
+        (tmp_path / "a.json").write_bytes(content)
+        try:
+            read_source(ManiskillConfig(file=str(tmp_path / "a.h5")))
+        except DatasetError as error:
+            refused += 1
+            str(error).encode("utf-8", "surrogatepass")
+    assert refused > 30

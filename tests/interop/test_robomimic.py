@@ -253,13 +253,15 @@ def test_files_that_are_none(tmp_path, files):
 def test_nothing_is_overwritten_and_a_half_import_begins_anew(tmp_path, files):
     out = tmp_path / "lift.hdf5"
     config = RobomimicConfig(file=str(files["1.5"]), out=str(out))
-    out.with_name("lift.hdf5.part").write_bytes(b"half of another")
+    part = out.with_name("lift.hdf5.part")
+    part.mkdir()
+    (part / "demo_0.npz").write_bytes(b"half of another")
     import_demos(config)
     before = out.read_bytes()
     with pytest.raises(DatasetError, match=r"exists\. Choose another --out"):
         import_demos(config)
     assert out.read_bytes() == before
-    assert not out.with_name("lift.hdf5.part").exists()
+    assert not part.exists()
 
 
 def test_delta_actions_of_an_imported_demonstration_are_small(files):

@@ -5,8 +5,6 @@ goes into the network and what comes out of it (`jaxcam.interop.lerobot.pipeline
 `jaxcam.interop.lerobot.layout` knows.
 """
 
-import os
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +14,8 @@ import jax
 import numpy as np
 
 from jaxcam.config.train import TrainConfig
-from jaxcam.errors import CheckpointError
+from jaxcam.errors import CheckpointError, ConfigError
+from jaxcam.files.whole import whole
 from jaxcam.interop.lerobot.layout import (
     COUNTERPARTS,
     Counterpart,
@@ -31,6 +30,7 @@ from jaxcam.interop.lerobot.pipelines import (
     SCALINGS,
     STATE,
     STATISTICS,
+    features_of,
     image_scaling_of,
     read_json,
     read_stats,
@@ -96,18 +96,17 @@ def export_policy(inputs: PolicyInputs, out: Path) -> list[str]:
     config = config_of(settings, spec, inputs.config.ensemble)
     arrays = _arrays(counterpart, settings, spec, inputs.params)
     scales = _scales(name, settings, spec, inputs.stats)
-    part = out.with_name(out.name + ".part")
-    shutil.rmtree(part, ignore_errors=True)
     try:
-        part.mkdir(parents=True)
-        safetensors_numpy().save_file(arrays, part / "model.safetensors")
-        write_json(part / "config.json", config)
-        write_pipelines(part, config, scales)
-        about = {k: getattr(inputs.config, k) for k in ABOUT}
-        write_json(part / "jaxcam.json", about | {"step": inputs.step})
-        os.replace(part, out)
+        with whole(out, folder=True) as part:
+            safetensors_numpy().save_file(arrays, part / "model.safetensors")
+            write_json(part / "config.json", config)
+            write_pipelines(part, config, scales)
+            about = {k: getattr(inputs.config, k) for k in ABOUT}
+            write_json(part / "jaxcam.json", about | {"step": inputs.step})
     except OSError as error:
-        raise CheckpointError(f"{part}: {error.strerror or error}. Make room, repeat.") from error
+        raise CheckpointError(
+            f"{out}: cannot be written: {error.strerror or error}. Make room and repeat."
+        ) from error
     notes = []
     if inputs.config.ensemble and is_delta(inputs.config.action_space):
         notes.append(DELTAS_AVERAGED)
@@ -208,12 +207,12 @@ def read_foreign(folder: Path, config: TrainConfig | None = None) -> Foreign:
         )
     try:
         counterpart = check_type(theirs)
-        inputs = theirs.get("input_features") or {}
-        images = [k for k, feature in inputs.items() if feature["type"] == "VISUAL"]
+        inputs = features_of(folder / "config.json", theirs, "input_features")
+        images = [k for k, feature in inputs.items() if feature.type == "VISUAL"]
         settings, spec = settings_of(theirs, image_scaling_of(folder, images))
         sizes = {STATE: spec.proprio_dim, ACTION: spec.action_dim}
         stats = read_stats(folder, counterpart.scaling, sizes)
-    except CheckpointError as error:
+    except (CheckpointError, ConfigError) as error:
         raise CheckpointError(f"{folder} cannot be had here: {error}") from error
     if config is not None:
         _check_fit(folder, config, spec)

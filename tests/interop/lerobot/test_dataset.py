@@ -197,13 +197,15 @@ def test_validation_joints_and_words(demos, pictures, tmp_path):
     assert episodes(out)[0]["tasks"] == ["Lift the cube."]
 
 
-def test_nothing_is_overwritten_and_the_unfinished_is_made_anew(demos, pictures, tmp_path):
+def test_nothing_is_overwritten_and_what_a_killed_export_left_goes(demos, pictures, tmp_path):
     out = tmp_path / "out"
-    part = tmp_path / "out.part"
-    (part / "data").mkdir(parents=True)
-    (part / "data" / "old").write_text("of an export that was killed")
+    dead, theirs = tmp_path / ".out.0123456789ab.part", tmp_path / "out.part"
+    for folder in (dead, theirs):
+        (folder / "data").mkdir(parents=True)
+        (folder / "data" / "old").write_text("half")
     export_dataset(config(demos, out, validation=True))
-    assert not part.exists()
+    assert not dead.exists()
+    assert (theirs / "data" / "old").exists()
     assert not list(out.rglob("old"))
     before = {p: p.stat().st_mtime_ns for p in out.rglob("*")}
     with pytest.raises(DatasetError, match=r"out exists. Choose another folder"):
@@ -219,6 +221,7 @@ def test_full_disk_is_told_and_leaves_no_dataset(demos, pictures, tmp_path, monk
     with pytest.raises(DatasetError, match=r"No space left on device. Make room"):
         export_dataset(config(demos, tmp_path / "out", validation=True))
     assert not (tmp_path / "out").exists()
+    assert not list(tmp_path.glob(".out*"))
 
 
 def test_files_that_grow_too_large_are_followed_by_others(tmp_path, monkeypatch):

@@ -1,7 +1,7 @@
 """Policies to LeRobot's layout of a checkpoint and back; that LeRobot agrees, a script checks."""
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,15 +9,14 @@ import jax
 import numpy as np
 import places
 import pytest
-from policy_inputs import start
+from lerobot_policies import ACTION, PROPRIO, SIDE, inputs_of, settings_for
 
 from jaxcam.config.commands import WeightsConfig
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import CheckpointError
 from jaxcam.interop.lerobot.layout import config_of, settings_of
-from jaxcam.interop.lerobot.pipelines import STATISTICS
 from jaxcam.interop.lerobot.policy import adopt, export_policy, read_foreign
-from jaxcam.models import FAMILIES, PolicySpec, make_policy
+from jaxcam.models import FAMILIES, PolicySpec
 from jaxcam.models.conditioning import with_conditioning
 from jaxcam.models.normalization import (
     action_deviation,
@@ -26,41 +25,9 @@ from jaxcam.models.normalization import (
     proprio_range,
 )
 from jaxcam.models.weights.load import read_weights
-from jaxcam.runs.identity import resolve
-from jaxcam.training.checkpoint import PolicyInputs, load_policy_inputs
+from jaxcam.training.checkpoint import load_policy_inputs
 
 pytest.importorskip("safetensors")
-
-SMALL = {
-    "act": {"chunk": 6, "execute": 2, "width": 16, "encoder_width": 16, "heads": 2, "hidden": 24,
-            "layers": 1, "latent_layers": 1, "latent_dim": 4},
-    "diffusion": {"chunk": 8, "execute": 2, "channels": (16, 32), "step_width": 16,
-                  "keypoints": 4, "features": 8},
-}  # fmt: skip
-PROPRIO, ACTION, SIDE = 11, 7, 32
-
-
-def settings_for(name, preset="lerobot", **changes):
-    return replace(FAMILIES[name].presets[preset], **(SMALL[name] | changes))  # pyright: ignore
-
-
-def inputs_of(settings, views=1, ensemble=0.0, draw=start):
-    """A policy with made-up weights, as a run's checkpoint holds it."""
-    name = next(n for n, f in FAMILIES.items() if f.config is type(settings))
-    spec = PolicySpec(ACTION, PROPRIO, views, SIDE, SIDE, settings.chunk, settings.obs_steps)
-    rng = np.random.default_rng(0)
-    stats = {}
-    for kind, size in (("action", ACTION), ("proprio", PROPRIO)):
-        low, width = rng.normal(size=size), rng.uniform(0.5, 2, size)
-        width[0] = 0  # a dimension that never varied
-        values = (low + width / 2, width / 3, low, low + width)
-        stats |= {
-            f"{kind}_{k}": v.astype(np.float32) for k, v in zip(STATISTICS, values, strict=True)
-        }
-    config = TrainConfig(policy=name, preset="lerobot", views=views, ensemble=ensemble)
-    params = draw(make_policy(settings, spec, stats))
-    config = resolve(config, accelerator=False)
-    return PolicyInputs(config, asdict(settings), asdict(spec), stats, params, 5)
 
 
 def scaled(inputs):

@@ -1,12 +1,15 @@
 """Weights of others: read, shown, and put into our networks or refused."""
 
+import io
 import json
+import tracemalloc
 from dataclasses import replace
 
 import ml_dtypes
 import numpy as np
 import pytest
 from places import GOLDEN
+from rich.console import Console
 from stored_weights import act, resnet, tiny_smolvla, weights_of
 
 from jaxcam.config.train import TrainConfig
@@ -27,15 +30,16 @@ def test_missing_file_and_damaged_safetensors(tmp_path):
         read_weights(tmp_path / "bad.safetensors")
 
 
-def test_safetensors_are_read_and_hashed(tmp_path, capsys):
+def test_safetensors_are_read_and_hashed(tmp_path):
     numpy = pytest.importorskip("safetensors.numpy")
     file = tmp_path / "model.safetensors"
     numpy.save_file({"conv1.weight": np.ones((2, 3), np.float32)}, file)
     weights = read_weights(file)
     assert weights.arrays["conv1.weight"].shape == (2, 3)
     assert weights.kind is not None
-    show_weights(weights)
-    printed = capsys.readouterr().out
+    console = Console(file=io.StringIO(), width=300)
+    show_weights(weights, console)
+    printed = console.file.getvalue()
     assert "conv1.weight" in printed
     assert "2x3" in printed
     assert "ResNet-18 (torchvision), 1 arrays, 6 numbers" in printed.replace("\n", " ")
@@ -58,6 +62,21 @@ def test_safetensors_of_float8_are_read(tmp_path):
     assert arrays.keys() == {"F8_E4M3.weight", "F32.weight"}
     np.testing.assert_array_equal(arrays["F8_E4M3.weight"].astype(np.float32), [0.5, -2, 3])
     np.testing.assert_array_equal(arrays["F32.weight"], [1, 1])
+
+
+def test_safetensors_of_unknown_numbers_are_refused_by_their_header(tmp_path):
+    pytest.importorskip("safetensors")
+    large = {"dtype": "F32", "shape": [2**18], "data_offsets": [0, 2**20]}
+    odd = {"dtype": "F4", "shape": [4], "data_offsets": [2**20, 2**20 + 2]}
+    entries = {"large": large, "odd": odd}
+    header = json.dumps(entries).encode()
+    file = tmp_path / "odd.safetensors"
+    file.write_bytes(len(header).to_bytes(8, "little") + header + bytes(2**20 + 2))
+    tracemalloc.start()
+    with pytest.raises(CheckpointError, match=r"odd \(F4\)"):
+        read_weights(file)
+    assert tracemalloc.get_traced_memory()[1] < 2**20
+    tracemalloc.stop()
 
 
 def test_weights_that_are_no_fractions_are_refused_by_name():

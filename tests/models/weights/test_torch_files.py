@@ -2,6 +2,7 @@
 
 import contextlib
 import pickle
+import struct
 import tracemalloc
 import zipfile
 
@@ -190,3 +191,18 @@ def test_a_torn_file_is_refused(tmp_path, name):
         (tmp_path / name).write_bytes(whole[: int(share * len(whole))])
         with pytest.raises(CheckpointError, match="not a whole PyTorch file"):
             read_torch(tmp_path / name)
+
+
+@pytest.mark.parametrize("large", [False, True])
+def test_an_archive_of_countless_files_is_refused_by_its_directory(tmp_path, large):
+    """Whatever count it declares: here one file, in a list of twelve megabytes."""
+    size = 12 * 2**20
+    end = struct.pack("<4s4H2LH", b"PK\5\6", 0, 0, 1, 1, 2**32 - 1 if large else size, 0, 0)
+    if large:
+        end = (struct.pack("<4sQ2H2L4Q", b"PK\6\6", 44, 45, 45, 0, 0, 1, 1, size, 0)
+               + struct.pack("<4sLQL", b"PK\6\7", 0, size, 1) + end)  # fmt: skip
+    for name, rest in (("a.pt", end), ("commented.pt", end[:-2] + b"\x09\0a comment")):
+        path = tmp_path / name
+        path.write_bytes(bytes(size) + rest)
+        with pytest.raises(CheckpointError, match="far more memory"):
+            read_torch(path)

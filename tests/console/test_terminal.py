@@ -1,0 +1,63 @@
+"""What is printed is text: no name of a file is markup, a picture, or a command of the terminal."""
+
+import ast
+import io
+import logging
+import re
+
+from places import REPO
+from rich.table import Table
+
+from jaxcam.console.command import print_error
+from jaxcam.console.progress import progress
+from jaxcam.console.terminal import PlainFormatter, Terminal
+from jaxcam.errors import ConfigError
+
+ODD = "out[/red] [bold]x[/bold] :cat: \x1b[2J\r\udcff"
+SHOWN = r"out[/red] [bold]x[/bold] :cat: \x1b[2J\r\udcff"
+
+
+def test_texts_are_shown_as_they_are():
+    terminal = Terminal(file=io.StringIO(), width=200)
+    table = Table("name", title=ODD)
+    table.add_row(ODD)
+    terminal.print(table)
+    terminal.print(ODD, soft_wrap=True)
+    with progress(terminal, ODD, 1) as advance:
+        advance(1, ODD)
+    assert terminal.file.getvalue().count(SHOWN) == 5
+
+
+def test_so_is_what_a_bar_says():
+    terminal = Terminal(file=io.StringIO(), width=300, force_terminal=True, color_system=None)
+    with progress(terminal, "[/red]", 1) as advance:
+        advance(1, "[/blue]")
+    shown = terminal.file.getvalue()
+    assert "[/red]" in shown
+    assert "[/blue]" in shown
+
+
+def test_so_is_the_log():
+    record = logging.LogRecord("a", logging.WARNING, "a.py", 1, "%s: gone", (ODD,), None)
+    assert PlainFormatter("%(message)s").format(record) == f"{SHOWN}: gone"
+
+
+def test_only_the_terminal_builds_a_console_and_nobody_asks_for_markup():
+    """So no text, whatever is put into it, is printed with markup on."""
+    texts = {path: path.read_text("utf-8") for path in (REPO / "jaxcam").rglob("*.py")}
+    prints = re.compile(r"Console\(|print\(|markup|TextColumn")
+    for path, text in texts.items():
+        for node in ast.walk(ast.parse(text)) if prints.search(text) else ():
+            if not isinstance(node, ast.Call):
+                continue
+            where, called = (path.name, node.lineno), ast.unparse(node.func)
+            assert called.split(".")[-1] not in ("Console", "from_markup"), where
+            assert called != "print", where
+            asked = {k.arg: ast.unparse(k.value) for k in node.keywords}
+            has_parts = called == "TextColumn" and "{" in ast.unparse(node.args[0])
+            assert asked.get("markup", str(has_parts)) == "False", where
+
+
+def test_an_error_is_shown_as_it_is(capsys):
+    assert print_error(ConfigError(ODD)) == 2
+    assert SHOWN in capsys.readouterr().err
