@@ -21,7 +21,7 @@ from rich.panel import Panel
 from rich.text import Text
 
 from jaxcam.config.flags import parse
-from jaxcam.errors import JaxcamError, MachineError
+from jaxcam.errors import ConfigError, JaxcamError, MachineError
 from jaxcam.interrupts import Interrupt, Stopped, interrupts
 
 _ADVICE = {
@@ -72,8 +72,11 @@ class Command:
             if isinstance(stream, io.TextIOWrapper):
                 stream.reconfigure(errors="backslashreplace")
         with interrupts() as stop:
-            with reader_may_leave():
-                config: Any = parse(self.settings, argv, prog)
+            try:
+                with reader_may_leave():
+                    config: Any = parse(self.settings, argv, prog)
+            except ConfigError as error:
+                sys.exit(print_error(error))
             console = Console()
             logging.basicConfig(
                 level=logging.WARNING, format="%(message)s", handlers=[RichHandler(console=console)]

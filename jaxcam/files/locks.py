@@ -15,6 +15,7 @@ from filelock import FileLock, Timeout
 from rich.console import Console
 
 from jaxcam.errors import DatasetError, JaxcamError
+from jaxcam.files.paths import regular
 from jaxcam.interrupts import check_stop
 
 
@@ -100,7 +101,7 @@ class NamedLock:
     def held_by(self) -> str:
         """What its holder says of itself; empty if nobody holds it. The lock stays as it is."""
         try:
-            with open(self._path, "rb") as file:
+            with open(regular(self._path), "rb") as file:
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:
             return self._holder() or "a process just starting"
@@ -116,7 +117,8 @@ class NamedLock:
             self._lock.release()
 
     def _holder(self) -> str:
-        return self._path.read_text("utf-8", errors="replace")[:1000].strip()
+        with open(regular(self._path), "rb") as file:
+            return file.read(1000).decode(errors="replace").strip()
 
 
 def _acquired(lock: FileLock) -> bool:

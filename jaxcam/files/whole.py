@@ -16,6 +16,8 @@ from jaxcam.errors import ConfigError
 
 MARK = "Written by jaxcam"
 """In every page of ours, which may be written anew."""
+FOOTER = 1000
+"""Bytes at the end of a page in which it stands."""
 
 
 @contextlib.contextmanager
@@ -73,10 +75,17 @@ def check_free(path: Path, inputs: Iterator[Path] | tuple[Path, ...] = ()) -> No
         return
     if not path.is_file():
         raise ConfigError(f"{path} is there, and is no file. Choose another --out.")
-    if MARK not in path.read_text("utf-8", errors="replace"):
+    if not _is_ours(path):
         raise ConfigError(
             f"{path} is there, and jaxcam did not write it. Choose another --out, or move it away."
         )
+
+
+def _is_ours(page: Path) -> bool:
+    """Whether the last lines of a page say that jaxcam wrote it."""
+    with open(page, "rb") as file:
+        file.seek(max(0, page.stat().st_size - FOOTER))
+        return MARK.encode() in file.read(FOOTER)
 
 
 def _may_be_written(path: Path) -> bool:

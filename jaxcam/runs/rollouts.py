@@ -10,7 +10,7 @@ from typing import Any, cast
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import DatasetError
 from jaxcam.files.jsonl import read_jsonl
-from jaxcam.files.paths import absolute
+from jaxcam.files.paths import absolute, read_text
 from jaxcam.results.rows import Row
 from jaxcam.runs.identity import read_config
 
@@ -102,7 +102,7 @@ def stored_weights(run: Path, step: int) -> str | None:
         which those find who load it.
     """
     try:
-        text = (run / "checkpoints" / str(step) / "manifest" / "metadata").read_text("utf-8")
+        text = read_text(run / "checkpoints" / str(step) / "manifest" / "metadata")
         items: dict[str, dict[str, Any]] = {}
         for name, what in json.loads(text)["leaves"].items():
             item, _, rest = name.partition("/")
@@ -148,7 +148,7 @@ def _stored_pairs(run: Path, split: str) -> dict[int, str]:
     if not file.is_file():
         return {}
     try:
-        records = cast(Iterable[Any], json.loads(file.read_text("utf-8"))["pairs"])
+        records = cast(Iterable[Any], json.loads(read_text(file))["pairs"])
         return {number: str(record["sha"]) for number, record in enumerate(records)}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DatasetError(
