@@ -100,5 +100,5 @@ def test_a_flag_that_is_given_twice_is_refused(flags):
     ],
 )
 def test_what_would_be_forgotten_is_refused(kind, given):
-    with pytest.raises(ConfigError, match="only|leave out"):
+    with pytest.raises(ConfigError, match=r"only|leave out"):
         kind(**given)
