@@ -21,6 +21,7 @@ from rich.panel import Panel
 from rich.text import Text
 
 from jaxcam.config.flags import parse
+from jaxcam.console.terminal import terminal
 from jaxcam.errors import ConfigError, JaxcamError, MachineError
 from jaxcam.interrupts import Interrupt, Stopped, interrupts
 
@@ -77,7 +78,7 @@ class Command:
                     config: Any = parse(self.settings, argv, prog)
             except ConfigError as error:
                 sys.exit(print_error(error))
-            console = Console()
+            console = terminal()
             logging.basicConfig(
                 level=logging.WARNING, format="%(message)s", handlers=[RichHandler(console=console)]
             )
@@ -159,5 +160,5 @@ def print_error(error: JaxcamError) -> int:
     # Text, not str: "[0]" in a message is an index, not rich markup.
     panel = Panel(Text(str(error)), title=type(error).__name__, title_align="left",
                   border_style="red")  # fmt: skip
-    Console(stderr=True).print(panel)
+    terminal(stderr=True).print(panel)
     return error.exit_code

@@ -5,6 +5,7 @@ The kernel frees a lock when its holder ends, even by `kill -9`. The lock's file
 
 import contextlib
 import datetime
+import errno
 import fcntl
 import os
 import socket
@@ -82,7 +83,7 @@ class NamedLock:
 
         Raises:
             InUseError: Another holds it.
-            OSError: The file cannot be made or locked.
+            OSError: The file cannot be made or locked, or is something else than a lock.
         """
         try:
             self._lock.acquire(blocking=False)
@@ -91,6 +92,8 @@ class NamedLock:
         now = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
         try:
             before = self._holder()
+            if before and not before.startswith("pid "):
+                raise OSError(errno.EEXIST, "a file that is no lock of ours", str(self._path))
             me = f"pid {os.getpid()} on {socket.gethostname()} since {now}\n"
             self._path.write_text(me, "utf-8")
         except OSError:

@@ -9,7 +9,7 @@ import contextlib
 import os
 import shutil
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from jaxcam.errors import ConfigError
@@ -52,10 +52,25 @@ def whole(path: str | Path) -> Iterator[Path]:
 
 def write_atomically(path: Path, text: str) -> None:
     """Write a file so that a crash leaves the old content or the new, never a part."""
-    with whole(path) as part, open(part, "w", encoding="utf-8", errors="surrogateescape") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
+    write_together({path: text})
+
+
+def write_together(texts: Mapping[Path, str]) -> None:
+    """Write files that belong to each other, each as `write_atomically` does.
+
+    All are on the disk before the first takes its place, so that a crash hardly ever, and a full
+    disk never, leaves some of them old and some new.
+
+    Args:
+        texts: Their content.
+    """
+    with contextlib.ExitStack() as places:
+        for path, text in texts.items():
+            part = places.enter_context(whole(path))
+            with open(part, "w", encoding="utf-8", errors="surrogateescape") as file:
+                file.write(text)
+                file.flush()
+                os.fsync(file.fileno())
 
 
 def check_free(path: Path, inputs: Iterator[Path] | tuple[Path, ...] = ()) -> None:

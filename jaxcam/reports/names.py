@@ -8,6 +8,8 @@ import hashlib
 import re
 from urllib.parse import quote
 
+from jaxcam.console.words import plain_line
+
 _LONGEST = 100
 _WIDE_WORD = r"(\S{47})\S{2,}"  # a figure has no room for more
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
@@ -27,15 +29,6 @@ def file_name(text: str) -> str:
     if safe == text:
         return safe
     return f"{safe}-{hashlib.sha256(text.encode(errors='replace')).hexdigest()[:8]}"
-
-
-def plain_line(text: str) -> str:
-    """The text as one line of a terminal: what would steer it is written out.
-
-    Args:
-        text: Any text.
-    """
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 def drawn(text: str) -> str:

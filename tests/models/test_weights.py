@@ -12,6 +12,7 @@ import jax
 import ml_dtypes
 import numpy as np
 import pytest
+from rich.console import Console
 from places import GOLDEN
 from policy_inputs import make_stats, shapes
 
@@ -262,7 +263,7 @@ def test_safetensors_are_read_and_hashed(tmp_path, capsys):
     weights = read_weights(file)
     assert weights.arrays["conv1.weight"].shape == (2, 3)
     assert weights.kind is not None
-    show(weights)
+    show(weights, Console())
     told = capsys.readouterr().out
     assert "conv1.weight" in told
     assert "2x3" in told

@@ -19,6 +19,7 @@ import ml_dtypes
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from jaxcam.errors import CheckpointError
 from jaxcam.files.paths import absolute
@@ -317,18 +318,18 @@ def _listed(what: str, names: list[str]) -> str:
     return f" {len(names)} {what}: {', '.join(names[:SHOWN])}{more}." if names else ""
 
 
-def show(weights: Weights) -> None:
+def show(weights: Weights, console: Console) -> None:
     """Print what a file is, and its arrays."""
     table = Table("name", "shape", "type", box=None)
     for name, array in weights.arrays.items():
         table.add_row(
-            name if name.isprintable() else repr(name),
+            Text(name),
             "x".join(map(str, array.shape)) or "scalar",
             str(array.dtype),
         )
-    console = Console(markup=False)
     console.print(table)
     count = sum(array.size for array in weights.arrays.values())
     kind = weights.kind.title if weights.kind else "of an unknown kind"
-    console.print(f"{weights.path}: {kind}, {len(weights.arrays)} arrays, {count:,} numbers")
+    what = f"{weights.path}: {kind}, {len(weights.arrays)} arrays, {count:,} numbers"
+    console.print(what, markup=False, soft_wrap=True)
     console.print(f"sha256 {weights.sha256}", soft_wrap=True)
