@@ -12,9 +12,9 @@ import jax
 import ml_dtypes
 import numpy as np
 import pytest
-from rich.console import Console
 from places import GOLDEN
 from policy_inputs import make_stats, shapes
+from rich.console import Console
 
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import CheckpointError, ConfigError
