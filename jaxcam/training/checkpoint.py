@@ -254,6 +254,22 @@ def load_policy_inputs(run_dir: str | Path, step: int | None = None) -> PolicyIn
     )
 
 
+def records_of(inputs: PolicyInputs) -> tuple[Any, PolicySpec]:
+    """The settings and the sizes of a checkpoint's policy.
+
+    Raises:
+        CheckpointError: They are not those of such a policy.
+    """
+    kind = FAMILIES[inputs.config.policy].config
+    try:
+        settings = as_record(kind, inputs.settings, "policy's settings")
+        spec = as_record(PolicySpec, inputs.spec, "policy's sizes")
+        check_least(spec, 1, "action_dim proprio_dim views height width chunk obs_steps")
+    except ConfigError as error:
+        raise CheckpointError(f"Checkpoint {inputs.step} is of another version: {error}") from error
+    return settings, spec
+
+
 def rebuild_policy(inputs: PolicyInputs) -> Policy:
     """The policy of a checkpoint, as it was trained.
 
@@ -261,16 +277,9 @@ def rebuild_policy(inputs: PolicyInputs) -> Policy:
         CheckpointError: Its settings, sizes or parameters are not those of such a policy.
         ConfigError: Its statistics are not.
     """
-    family, what = FAMILIES[inputs.config.policy], f"Checkpoint {inputs.step} is of another"
-    try:
-        settings = as_record(family.config, inputs.settings, "policy's settings")
-        spec = as_record(PolicySpec, inputs.spec, "policy's sizes")
-        check_least(spec, 1, "action_dim proprio_dim views height width chunk obs_steps")
-    except ConfigError as error:
-        raise CheckpointError(f"{what} version: {error}") from error
-    policy = family.make(settings, spec, inputs.stats)
+    policy = FAMILIES[inputs.config.policy].make(*records_of(inputs), inputs.stats)
     if wrong := _misfits(jax.eval_shape(policy.init, jax.random.key(0)), inputs.params):
-        raise CheckpointError(f"{what} policy: {some(wrong)}.")
+        raise CheckpointError(f"Checkpoint {inputs.step} is of another policy: {some(wrong)}.")
     return policy
 
 

@@ -54,7 +54,7 @@ from jaxcam.runs.folder import RunDir
 from jaxcam.runs.identity import resolve
 from jaxcam.sim.actions import action_dim, is_delta
 from jaxcam.sim.world import PROPRIO_DIM
-from jaxcam.training.checkpoint import Checkpoints, PolicyInputs, rebuild_policy
+from jaxcam.training.checkpoint import Checkpoints, PolicyInputs, rebuild_policy, records_of
 from jaxcam.training.side import make_side
 from jaxcam.training.state import init_state, make_optimizer
 
@@ -91,11 +91,11 @@ def export_policy(inputs: PolicyInputs, out: Path) -> list[str]:
     name = inputs.config.policy
     if name not in COUNTERPARTS:
         raise CheckpointError(f"Only {' and '.join(COUNTERPARTS)} can be exported, not {name}.")
-    policy, counterpart = rebuild_policy(inputs), COUNTERPARTS[name]
-    settings, spec = policy.config, policy.spec
+    (settings, spec), counterpart = records_of(inputs), COUNTERPARTS[name]
     if out.exists():
         raise CheckpointError(f"{out} exists. Choose another folder, or delete it first.")
     config = config_of(settings, spec, inputs.config.ensemble)
+    rebuild_policy(inputs)  # what is exported is whole
     arrays = _arrays(counterpart, settings, spec, inputs.params)
     scales = _scales(name, settings, spec, inputs.stats)
     part = out.with_name(out.name + ".part")
