@@ -115,6 +115,8 @@ def main(config: CheckConfig, console: Console) -> int:
         console.print("The first four are all that the MuJoCo tasks need.")
     else:
         page = _page(config)
+        if page.suffix == ".png":
+            raise ConfigError(f"{page}: a page is no picture. Choose an --out that ends in .html.")
         check_free(page, (absolute(config.target),))
         if not page.exists() and (overlays := page.with_suffix(".png")).exists():
             raise ConfigError(

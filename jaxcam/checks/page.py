@@ -35,19 +35,19 @@ class Report:
 
 def write_page(report: Report, path: Path) -> Path:
     """Writes a report as one HTML file that loads nothing, and its overlays as PNG beside it."""
+    overlays = []
     with TemporaryDirectory() as folder:
         figures = [
             embedded(save(figure, Path(folder) / f"{i}.png"), caption, wide=True)
             for i, (caption, figure) in enumerate(report.figures.items())
         ]
-    overlays = []
-    if report.overlays is not None:
-        file = write_png(path.with_suffix(".png"), report.overlays)
-        caption = (
-            "What cameras see, with the axes of grip and table (x red, y green, z blue) and the "
-            "way of the grip (yellow) drawn where the cameras' numbers have them."
-        )
-        overlays = [embedded(file, caption, wide=True)]
+        if report.overlays is not None:
+            file = write_png(Path(folder) / "overlays.png", report.overlays)
+            caption = (
+                "What cameras see, with the axes of grip and table (x red, y green, z blue) and "
+                "the way of the grip (yellow) drawn where the cameras' numbers have them."
+            )
+            overlays = [embedded(file, caption, wide=True)]
     content = render(
         "check.html",
         report.title,
@@ -59,7 +59,9 @@ def write_page(report: Report, path: Path) -> Path:
         figures=figures,
         numbers=report.numbers,
     )
-    write_atomically(path, content)
+    write_atomically(path, content)  # first: by it one knows whose picture is beside it
+    if report.overlays is not None:
+        write_png(path.with_suffix(".png"), report.overlays)
     return path
 
 

@@ -17,7 +17,7 @@ from jaxcam.console.words import some
 from jaxcam.data.collection import dataset_path
 from jaxcam.data.demos import read_demos
 from jaxcam.errors import JaxcamError
-from jaxcam.files.paths import absolute, home
+from jaxcam.files.paths import absolute, home, read_text
 from jaxcam.runs.environment import environment
 from jaxcam.runs.identity import stored_config, unlike
 from jaxcam.runs.manifests import DamagedError, starting_weights
@@ -229,9 +229,7 @@ def _environment(folder: Path) -> Finding:
     if not file.is_file():
         return note(what, got="not written down", where="env.txt")
     then = dict(
-        line.split(" ", 1)
-        for line in file.read_text("utf-8", "replace").splitlines()
-        if " " in line
+        line.split(" ", 1) for line in read_text(file, "replace").splitlines() if " " in line
     )
     now = environment()
     changed = [f"{k} {v} → {now.get(k, 'gone')}" for k, v in then.items() if now.get(k) != v]

@@ -80,9 +80,10 @@ def as_record(kind: type[C], values: Any, what: str = "configuration") -> C:
         for name, value in values.items()
         if isinstance(value, list) and list not in _kinds(hints[name])
     }
-    record = kind(**values | tuples)
-    check_types(record, where=f"{what}: " if what != "configuration" else "")
-    return record
+    values = values | tuples
+    for name, value in values.items():  # before the record's own checks compute with them
+        check_value(f"{what}: " if what != "configuration" else "", name, value, hints[name])
+    return kind(**values)
 
 
 def short(value: Any) -> str:

@@ -20,7 +20,7 @@ from rich.panel import Panel
 
 from jaxcam.config.flags import parse
 from jaxcam.console.terminal import PlainFormatter, Terminal
-from jaxcam.errors import JaxcamError, MachineError
+from jaxcam.errors import ConfigError, JaxcamError, MachineError
 from jaxcam.interrupts import Interrupt, Stopped, ends_at_once, interrupts
 
 _ADVICE = {
@@ -71,8 +71,11 @@ class CommandLine:
         for stream in (sys.stdout, sys.stderr):  # names of files may be no text
             if isinstance(stream, io.TextIOWrapper):
                 stream.reconfigure(errors="backslashreplace")
-        with ends_at_once(), reader_may_leave():
-            config: Any = parse(self.settings, argv, prog)
+        try:
+            with ends_at_once(), reader_may_leave():
+                config: Any = parse(self.settings, argv, prog)
+        except ConfigError as error:
+            sys.exit(print_error(error))
         console = Terminal()
         handler = RichHandler(console=console)
         handler.setFormatter(PlainFormatter("%(message)s"))

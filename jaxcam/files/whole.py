@@ -14,7 +14,7 @@ import os
 import re
 import shutil
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from jaxcam.errors import ConfigError
@@ -23,6 +23,8 @@ _log = logging.getLogger(__name__)
 
 MARK = "Written by jaxcam"
 """In every page of ours, which may be written anew."""
+FOOTER = 1000
+"""Bytes at the end of a page in which it stands."""
 
 
 @contextlib.contextmanager
@@ -49,7 +51,9 @@ def whole(path: str | Path, *, folder: bool = False) -> Iterator[Path]:
     try:
         yield part
         _take_place(part, path)
-    except BaseException:
+    except BaseException as error:
+        if isinstance(error, OSError) and error.filename is None:  # as of a full disk
+            error.filename = str(path)
         _remove(part)
         raise
     finally:
@@ -58,10 +62,25 @@ def whole(path: str | Path, *, folder: bool = False) -> Iterator[Path]:
 
 def write_atomically(path: Path, text: str) -> None:
     """Write a file so that a crash leaves the old content or the new, never a part."""
-    with whole(path) as part, open(part, "w", encoding="utf-8", errors="surrogateescape") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
+    write_together({path: text})
+
+
+def write_together(texts: Mapping[Path, str]) -> None:
+    """Write files that belong to each other, each as `write_atomically` does.
+
+    All are on the disk before the first takes its place, so that a crash hardly ever, and a full
+    disk never, leaves some of them old and some new.
+
+    Args:
+        texts: Their content.
+    """
+    with contextlib.ExitStack() as places:
+        for path, text in texts.items():
+            part = places.enter_context(whole(path))
+            with open(part, "w", encoding="utf-8", errors="surrogateescape") as file:
+                file.write(text)
+                file.flush()
+                os.fsync(file.fileno())
 
 
 def check_free(path: Path, inputs: Iterator[Path] | tuple[Path, ...] = ()) -> None:
@@ -81,7 +100,7 @@ def check_free(path: Path, inputs: Iterator[Path] | tuple[Path, ...] = ()) -> No
         return
     if not path.is_file():
         raise ConfigError(f"{path} is there, and is no file. Choose another --out.")
-    if MARK not in path.read_text("utf-8", errors="replace"):
+    if not _is_ours(path):
         raise ConfigError(
             f"{path} is there, and jaxcam did not write it. Choose another --out, or move it away."
         )
@@ -135,6 +154,13 @@ def _remove(part: Path) -> None:
         shutil.rmtree(part, ignore_errors=True)
     else:
         part.unlink(missing_ok=True)
+
+
+def _is_ours(page: Path) -> bool:
+    """Whether the last lines of a page say that jaxcam wrote it."""
+    with open(page, "rb") as file:
+        file.seek(max(0, page.stat().st_size - FOOTER))
+        return MARK.encode() in file.read(FOOTER)
 
 
 def _may_be_written(path: Path) -> bool:

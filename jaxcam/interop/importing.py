@@ -166,7 +166,10 @@ def write_dataset(
     )
     with exclusive(out, console):
         if out.exists():
-            raise DatasetError(f"{out} exists. Choose another --out, or delete it first.")
+            raise DatasetError(
+                f"{out} exists. Choose another --out, or delete it first; if this command was "
+                f"stopped after it was written, see what it is good for: jaxcam replay {out}"
+            )
         discard(out)  # perhaps of another file
         header = new_header(with_stair(like), task, task.scene(config.scene))
         header = replace(header, versions={**header.versions, "imported": about})

@@ -1,5 +1,7 @@
 """`python -m jaxcam.weights FILE|RUN`: what a file of weights holds; LeRobot's policies."""
 
+import shlex
+
 from rich.console import Console
 
 from jaxcam.config.commands import WeightsConfig
@@ -15,15 +17,15 @@ def main(config: WeightsConfig, console: Console) -> None:
     if config.export:
         inputs = load_policy_inputs(config.source, config.step)
         notes = export_policy(inputs, absolute(config.export))
-        notes = [f"{config.export}: a LeRobot {VERSION} checkpoint.", *notes]
+        what = f"{config.export}: a LeRobot {VERSION} checkpoint."
     elif config.run_dir:
         names = ("task", "scene", "action_space", "rotations", "run_dir")
         config_of_run = TrainConfig(**{k: getattr(config, k) for k in names})
         notes = adopt(absolute(config.source), config_of_run)
-        done = f"{config.run_dir}: a run. Next: python -m jaxcam.evaluate {config.run_dir}"
-        notes = [done, *notes]
+        quoted = shlex.quote(config.run_dir)
+        what = f"{config.run_dir}: a run. Next: python -m jaxcam.evaluate {quoted}"
     else:
-        notes = []
         show_weights(read_weights(config.source), console)
-    for note in notes:
-        console.print(note, soft_wrap=True, highlight=False)
+        return
+    for line in (what, *notes):
+        console.print(line, soft_wrap=True, highlight=False)

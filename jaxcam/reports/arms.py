@@ -16,7 +16,7 @@ from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.files.jsonl import line_of, read_jsonl
 from jaxcam.files.locks import exclusive
 from jaxcam.files.paths import absolute
-from jaxcam.files.whole import write_atomically
+from jaxcam.files.whole import write_together
 from jaxcam.reports.records import NAMED, NOT_RECORDED, read_records
 from jaxcam.results.differences import PairedDifference, paired_difference
 from jaxcam.results.protocol import Protocol, counted, lacks, protocol_of
@@ -180,8 +180,10 @@ def write_results(folder: Path, runs: Sequence[Run]) -> None:
     ]  # fmt: skip
     rows = ({"run": i, **_brief(row)} for i, run in enumerate(runs) for row in run.rows)
     with exclusive(folder / "rows.jsonl"):  # a row's number is that of its run in the other file
-        write_atomically(folder / "rows.jsonl", "".join(map(line_of, rows)))
-        write_atomically(folder / "runs.json", json.dumps(records, indent=1) + "\n")
+        write_together({
+            folder / "rows.jsonl": "".join(map(line_of, rows)),
+            folder / "runs.json": json.dumps(records, indent=1) + "\n",
+        })  # fmt: skip
 
 
 def check_replaces(folder: Path, runs: Sequence[Run]) -> None:
@@ -245,15 +247,18 @@ def training_seconds(metrics: Sequence[Mapping[str, Any]]) -> float:
 
 
 def _find(path: Path, known: set[Path]) -> Iterator[Path]:
-    """The run and results folders at or below a path, each folder once: links may lead back."""
+    """The run and results folders at or below a path, each folder once: links may lead back.
+
+    Results may have been written into a folder of runs, and then do not hide them.
+    """
     if not path.is_dir() or (real := path.resolve()) in known:
         return
     known.add(real)
-    if any((path / name).is_file() for name in ("config.json", "rows.jsonl")):
+    is_run = (path / "config.json").is_file()
+    if is_run or (path / "rows.jsonl").is_file():
         yield path
-    else:
-        for child in sorted(path.iterdir()):
-            yield from _find(child, known)
+    for child in [] if is_run else sorted(path.iterdir()):
+        yield from _find(child, known)
 
 
 def _read(folder: Path, split: str) -> list[Run]:

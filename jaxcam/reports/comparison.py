@@ -67,20 +67,23 @@ def write_comparison(runs: Sequence[Run], out: Path, split: str = "test") -> Pat
         ConfigError: The folder has rows that would be lost.
     """
     check_replaces(out, runs)
-    out.mkdir(parents=True, exist_ok=True)
+    title = "Camera-conditioned policies: this code beside the paper"
+    page = out / "report.html"
+    if not page.exists():  # so that the folder is known as ours, whatever ends this
+        begun = "The command that writes this report has not finished. Run it again."
+        write_atomically(page, to_html(Document(title, begun, []), out))
     arms = [arm for arm in group(runs) if arm.estimate.n or arm.estimate.excluded]
     blocks = [*_about(arms), *_main(arms, out), *_studies(arms, out), *_maps(arms, out)]
     blocks += [Heading("Runs"), runs_table(runs, _videos(runs, out))]
     pairs = "held-out pairs" if split == "test" else f"{split} pairs"
-    title = "Camera-conditioned policies: this code beside the paper"
     subtitle = f"Success on {pairs} of an initial state and a camera pose."
     document = Document(title, subtitle, blocks)
     write_atomically(out / "report.md", to_markdown(document))
     write_atomically(out / "report.tex", to_latex(document))
     write_atomically(out / "report.csv", to_csv(arms))
-    write_atomically(out / "report.html", to_html(document, out))
     write_results(out, runs)
-    return out / "report.html"
+    write_atomically(page, to_html(document, out))
+    return page
 
 
 def _about(arms: Sequence[Arm]) -> list[Block]:

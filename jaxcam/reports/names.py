@@ -91,4 +91,5 @@ def address(path: str) -> str:
     Args:
         path: With slashes.
     """
-    return quote(path if path.startswith((".", "/")) else f"./{path}" if ":" in path else path)
+    named = path if path.startswith((".", "/")) else f"./{path}" if ":" in path else path
+    return quote(named, errors="surrogateescape")  # names of files may be no text

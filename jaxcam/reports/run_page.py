@@ -11,6 +11,7 @@ from typing import Any
 
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
+from jaxcam.files.paths import read_text
 from jaxcam.files.whole import write_atomically
 from jaxcam.reports import paper
 from jaxcam.reports.arms import training_seconds
@@ -184,7 +185,7 @@ def _commands(run_dir: str | Path, config: TrainConfig) -> list[list[str]]:
 def _environment(file: Path) -> str:
     """Versions and devices."""
     own = own_files(file.parent, file.name)
-    return own[0].read_text("utf-8", errors="replace").strip() if own else ""
+    return read_text(own[0], "replace").strip() if own else ""
 
 
 def _degrees(value: float | None) -> str:

@@ -191,7 +191,7 @@ def _stored_pairs(run: Path, split: str) -> dict[int, str]:
     if not file.is_file():
         return {}
     try:
-        records = cast(Iterable[Any], json.loads(file.read_text("utf-8"))["pairs"])
+        records = cast(Iterable[Any], json.loads(read_text(file))["pairs"])
         return {number: str(record["sha"]) for number, record in enumerate(records)}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DatasetError(

@@ -26,6 +26,8 @@ from jaxcam.runs.jobs import PREEMPTED, Executor, Here, Job, Started, Submitit
 
 SECONDS = 1.0
 """Between looks at the jobs."""
+LAST_BYTES = 1 << 16
+"""Of a log, in which a run's last words are looked for."""
 _ORDER = ("running", "failed", "waiting", "done")
 
 
@@ -138,7 +140,11 @@ def _outcome(job: Started) -> tuple[int, bool]:
 
 
 def _last_words(log: Path) -> str:
-    lines = log.read_text(errors="replace").splitlines() if log.is_file() else []
+    if not log.is_file():
+        return "it said nothing"
+    with open(log, "rb") as file:
+        file.seek(max(0, log.stat().st_size - LAST_BYTES))
+        lines = file.read(LAST_BYTES).decode(errors="replace").splitlines()
     words = [line.strip(" │╭╮╰╯─") for line in lines[-12:]]
     return next((line for line in reversed(words) if line), "it said nothing")[:200]
 

@@ -5,8 +5,12 @@ import io
 import logging
 import re
 
+import pytest
 from places import REPO
+from rich.console import Console
+from rich.panel import Panel
 from rich.table import Table
+from rich.text import Text
 
 from jaxcam.console.command import print_error
 from jaxcam.console.progress import progress
@@ -61,3 +65,27 @@ def test_only_the_terminal_builds_a_console_and_nobody_asks_for_markup():
 def test_an_error_is_shown_as_it_is(capsys):
     assert print_error(ConfigError(ODD)) == 2
     assert SHOWN in capsys.readouterr().err
+
+
+EVIL = "a\x1b]0;owned\x07\x1b[2J\x9b1m\u202eb"
+
+
+@pytest.mark.parametrize("shown", [EVIL, Panel(Text(EVIL), title="x"), Text(EVIL)])
+def test_nothing_steers_the_terminal(shown):
+    terminal = Terminal(file=io.StringIO(), width=200)
+    terminal.print(shown, soft_wrap=True)
+    written = terminal.file.getvalue()
+    for character in ("\x1b", "\x07", "\x9b", "\u202e"):
+        assert character not in written
+    assert r"\x1b" in written
+    assert written.endswith("\n")
+
+
+def test_lines_and_boxes_stay():
+    """What rich prints of its own is left as it is."""
+    written = []
+    for kind in (Terminal, Console):
+        console = kind(file=io.StringIO(), width=40)
+        console.print(Panel("two\nlines"), "and more", end="!\n")
+        written.append(console.file.getvalue())
+    assert written[0] == written[1]

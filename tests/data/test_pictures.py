@@ -1,6 +1,7 @@
 """The cache of pictures: made once, resumed, and the picture at an index is the one it names."""
 
 import logging
+import os
 import shutil
 from collections import namedtuple
 
@@ -158,6 +159,24 @@ def test_a_note_that_says_drawn_over_an_empty_file_is_not_believed(cached, pictu
     np.ones(len(rgb), bool).tofile(cache.with_suffix(".drawn"))
     np.testing.assert_array_equal(load_pictures(demos, PIXELS).rgb, pictures.rgb)
     assert "0 bytes that cannot be read" in caplog.text
+
+
+@pytest.mark.parametrize("ending", [".sums", ".drawn"])
+def test_giants_and_pipes_for_records_of_a_cache(tmp_path, ending):
+    path, shape = tmp_path / "a.npy", (4, 2, 2, 3)
+    np.lib.format.open_memmap(path.with_suffix(".part"), "w+", np.uint8, shape)
+    record = path.with_suffix(ending)
+    with open(record, "wb") as file:
+        file.truncate(1 << 40)
+    assert not Cache(path, shape).drawn.any()
+    record.unlink()
+    os.mkfifo(record)
+    with pytest.raises(OSError, match="regular"):
+        Cache(path, shape)
+    record.unlink()
+    path.with_suffix(".part").unlink()
+    os.mkfifo(path.with_suffix(".part"))
+    assert Cache(path, shape).rgb is None
 
 
 def test_cached_pictures_are_fresh_renders_of_state_and_camera(demos, pictures, renderer):

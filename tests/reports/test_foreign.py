@@ -10,7 +10,7 @@ from running import exit_code
 from jaxcam.config.fields import to_json
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, DatasetError
-from jaxcam.reports.arms import read_runs
+from jaxcam.reports.arms import read_runs, write_results
 from jaxcam.reports.comparison import write_comparison
 from jaxcam.reports.run_page import write_report
 from jaxcam.runs.identity import resolve
@@ -159,3 +159,39 @@ def test_a_page_shows_no_files_from_elsewhere(tmp_path):
     assert "my secret" not in page
     assert "bXkgc2VjcmV0" not in page  # in base64
     assert "a.mp4" not in page
+
+
+def test_a_report_that_was_cut_short_is_written_by_the_same_command(tmp_path, monkeypatch):
+    runs, out = read_runs([foreign(tmp_path / "rows")]), tmp_path / "out"
+
+    def killed(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("jaxcam.reports.comparison.to_markdown", killed)
+        with pytest.raises(KeyboardInterrupt):
+            write_comparison(runs, out)
+    assert (out / "figures").is_dir()
+    assert "has not finished" in (out / "report.html").read_text("utf-8")
+    assert exit_code("report", tmp_path / "rows", "--out", out) == 0
+    assert "has not finished" not in (out / "report.html").read_text("utf-8")
+
+
+def test_rows_and_runs_of_a_report_change_together(written, monkeypatch):
+    before = content(written)
+
+    def full(path):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("jaxcam.files.whole.os.fsync", full)
+    with pytest.raises(OSError, match="No space"):
+        write_results(written, read_runs([written]))
+    assert content(written).items() >= before.items()
+
+
+def test_a_report_among_runs_does_not_hide_them(tmp_path):
+    foreign(tmp_path / "all" / "one", task="push")
+    write_comparison(read_runs([tmp_path / "all"]), tmp_path / "all")
+    foreign(tmp_path / "all" / "two")
+    tasks = sorted(run.settings["task"] for run in read_runs([tmp_path / "all"]))
+    assert tasks == ["lift", "lift", "push", "push"]

@@ -61,6 +61,7 @@ def test_markdown_has_no_tags_links_or_code_of_others():
 
 def test_a_link_is_a_path():
     assert address("javascript:alert(1)") == "./javascript%3Aalert%281%29"
+    assert address("runs/\udcff.mp4") == "runs/%FF.mp4"
     assert address("../runs/a b#c?/x.mp4") == "../runs/a%20b%23c%3F/x.mp4"
 
 

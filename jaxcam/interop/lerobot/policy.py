@@ -38,7 +38,7 @@ from jaxcam.interop.lerobot.pipelines import (
     write_json,
     write_pipelines,
 )
-from jaxcam.models import FAMILIES, Params, PolicySpec, make_policy
+from jaxcam.models import Params, PolicySpec, make_policy
 from jaxcam.models.act.transformer import sine_table
 from jaxcam.models.normalization import (
     action_deviation,
@@ -46,6 +46,7 @@ from jaxcam.models.normalization import (
     proprio_deviation,
     proprio_range,
 )
+from jaxcam.models.policy import statistic
 from jaxcam.models.weights.load import Weights, load, read_weights, record_weights, to_torch
 from jaxcam.models.weights.names import MAPS
 from jaxcam.models.weights.names_robot import Arrays
@@ -53,7 +54,7 @@ from jaxcam.runs.folder import RunDir
 from jaxcam.runs.identity import resolve
 from jaxcam.sim.actions import action_dim, is_delta
 from jaxcam.sim.world import PROPRIO_DIM
-from jaxcam.training.checkpoint import Checkpoints, PolicyInputs
+from jaxcam.training.checkpoint import Checkpoints, PolicyInputs, rebuild_policy, records_of
 from jaxcam.training.side import make_side
 from jaxcam.training.state import init_state, make_optimizer
 
@@ -87,13 +88,14 @@ def export_policy(inputs: PolicyInputs, out: Path) -> list[str]:
     Raises:
         CheckpointError: LeRobot's network has no place for this policy, or `out` exists.
     """
-    name, spec = inputs.config.policy, PolicySpec(**inputs.spec)
+    name = inputs.config.policy
     if name not in COUNTERPARTS:
         raise CheckpointError(f"Only {' and '.join(COUNTERPARTS)} can be exported, not {name}.")
-    settings, counterpart = FAMILIES[name].config(**inputs.settings), COUNTERPARTS[name]
+    (settings, spec), counterpart = records_of(inputs), COUNTERPARTS[name]
     if out.exists():
         raise CheckpointError(f"{out} exists. Choose another folder, or delete it first.")
     config = config_of(settings, spec, inputs.config.ensemble)
+    rebuild_policy(inputs)  # what is exported is whole
     arrays = _arrays(counterpart, settings, spec, inputs.params)
     scales = _scales(name, settings, spec, inputs.stats)
     try:
@@ -144,7 +146,7 @@ def _scales(name: str, settings: Any, spec: PolicySpec, stats: Mapping[str, np.n
     """What the pipelines scale by, as if they were the data's statistics."""
     tensors = {}
     for feature, ours in ((ACTION, "action"), (STATE, "proprio")):
-        values = {k: np.asarray(stats[f"{ours}_{k}"], np.float32) for k in STATISTICS}
+        values = {k: statistic(stats, f"{ours}_{k}") for k in STATISTICS}
         if not settings.floors:
             pass  # LeRobot's own, which it scales by as they are
         elif name == "act":

@@ -341,5 +341,6 @@ def show_weights(weights: Weights, console: Console) -> None:
     console.print(table)
     count = sum(array.size for array in weights.arrays.values())
     kind = weights.kind.title if weights.kind else "of an unknown kind"
-    console.print(f"{weights.path}: {kind}, {len(weights.arrays)} arrays, {count:,} numbers")
+    what = f"{weights.path}: {kind}, {len(weights.arrays)} arrays, {count:,} numbers"
+    console.print(what, soft_wrap=True)
     console.print(f"sha256 {weights.sha256}", soft_wrap=True)
