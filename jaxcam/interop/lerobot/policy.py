@@ -7,7 +7,8 @@ goes into the network and what comes out of it (`jaxcam.interop.lerobot.pipeline
 
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,15 +16,11 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxcam.config.fields import check_types
 from jaxcam.config.train import TrainConfig
-from jaxcam.errors import CheckpointError
-from jaxcam.interop.lerobot.layout import (
-    COUNTERPARTS,
-    Counterpart,
-    check_type,
-    config_of,
-    settings_of,
-)
+from jaxcam.errors import CheckpointError, ConfigError
+from jaxcam.interop.lerobot.counterparts import COUNTERPARTS, Counterpart, policy_file
+from jaxcam.interop.lerobot.layout import config_of, settings_of, spec_of
 from jaxcam.interop.lerobot.pipelines import (
     ACTION,
     BEFORE,
@@ -32,12 +29,12 @@ from jaxcam.interop.lerobot.pipelines import (
     STATE,
     STATISTICS,
     image_scaling_of,
-    read_json,
     safetensors_numpy,
     stats_of,
     write_json,
     write_pipelines,
 )
+from jaxcam.interop.lerobot.records import PolicyFile, read_json, record_of
 from jaxcam.models import FAMILIES, Params, PolicySpec, make_policy
 from jaxcam.models.act.transformer import sine_table
 from jaxcam.models.normalization import (
@@ -61,6 +58,22 @@ VERSION = "0.4.4"
 """LeRobot's version whose layout this is."""
 ABOUT = ("task", "scene", "action_space", "rotations")
 """The settings that an export of ours tells beside LeRobot's, in `jaxcam.json`."""
+
+
+@dataclass(frozen=True)
+class About:
+    """What `jaxcam.json` says; of what it does not, nothing is known."""
+
+    action_space: str | None = None
+    rotations: str | None = None
+    task: str | None = None
+    scene: str | None = None
+    step: int | None = None
+
+    completed = TrainConfig.completed
+
+    def __post_init__(self) -> None:
+        check_types(self)
 
 
 DELTAS_AVERAGED = (
@@ -88,8 +101,9 @@ def export_policy(inputs: PolicyInputs, out: Path) -> list[str]:
         CheckpointError: LeRobot's network has no place for this policy, or `out` exists.
     """
     name, spec = inputs.config.policy, PolicySpec(**inputs.spec)
-    if name not in COUNTERPARTS:
-        raise CheckpointError(f"Only {' and '.join(COUNTERPARTS)} can be exported, not {name}.")
+    if name not in COUNTERPARTS or COUNTERPARTS[name].restore is None:
+        known = " and ".join(n for n, one in COUNTERPARTS.items() if one.restore)
+        raise CheckpointError(f"Only {known} can be exported, not {name}.")
     settings, counterpart = FAMILIES[name].config(**inputs.settings), COUNTERPARTS[name]
     if out.exists():
         raise CheckpointError(f"{out} exists. Choose another folder, or delete it first.")
@@ -124,7 +138,8 @@ def export_policy(inputs: PolicyInputs, out: Path) -> list[str]:
 def _arrays(counterpart: Counterpart, settings: Any, spec: PolicySpec, params: Params) -> Arrays:
     """All arrays of their network, constants too."""
     kind = next(m for m in MAPS if m.title == counterpart.title)
-    arrays = counterpart.restore(to_torch(params, kind))
+    arrays = to_torch(params, kind)
+    arrays = counterpart.restore(arrays) if counterpart.restore else arrays
     for name, array in arrays.items():
         if name.endswith(("img_feat_input_proj.weight", "pool.nets.weight")):
             arrays[name] = array[..., None, None]  # there a 1x1 convolution
@@ -198,37 +213,67 @@ def read_foreign(folder: Path, config: TrainConfig | None = None) -> Foreign:
     Raises:
         CheckpointError: It is not whole, our network has no place for it, or it does not fit the
             task.
+        ConfigError: A file of its is not of the form that LeRobot writes.
     """
-    theirs = read_json(folder / "config.json")
+    theirs = read_checkpoint(folder)
+    counterpart, name = COUNTERPARTS[theirs.type], theirs.type
+    if counterpart.restore is None:
+        raise CheckpointError(
+            f"{folder} is of policy '{name}', which cannot be made a run as it is. A run can begin "
+            f"with its weights: python -m jaxcam.train --policy {name} --preset lerobot "
+            f"--weights {folder}"
+        )
+    with named(folder):
+        spec, images = spec_of(theirs), theirs.images
+        settings = settings_of(theirs, image_scaling_of(folder, images))
+        sizes = {STATE: spec.proprio_dim, ACTION: spec.action_dim}
+        stats = stats_of(folder, counterpart.scaling, sizes)
+    if config is not None:
+        _check_fit(folder, config, spec)
+    weights = read_weights(folder / "model.safetensors")
+    if weights.kind is None or weights.kind.title != counterpart.title:
+        title = weights.kind.title if weights.kind else "of an unknown kind"
+        raise CheckpointError(f"{weights.path} is {title}, but its config.json is of {name}.")
+    policy = make_policy(settings, spec, stats)
+    params = load(weights, jax.eval_shape(policy.init, jax.random.key(0)))
+    ensemble, notes = getattr(theirs, "temporal_ensemble_coeff", None) or 0.0, []
+    if images != [IMAGE.format(v) for v in range(spec.views)]:
+        notes.append(f"Its images are taken for our views in this order: {', '.join(images)}.")
+    if ensemble and (config is None or is_delta(config.action_space)):
+        notes.append(DELTAS_AVERAGED)
+    if not getattr(theirs, "use_group_norm", True):
+        notes.append(BATCH_NORMS)
+    return Foreign(name, settings, spec, stats, params, weights, ensemble, notes)
+
+
+def read_checkpoint(folder: Path) -> PolicyFile:
+    """The `config.json` of a checkpoint that has its pipelines.
+
+    Args:
+        folder: Of the checkpoint.
+
+    Raises:
+        CheckpointError: It is none, or of a policy or a LeRobot that is unknown here.
+        ConfigError: Its file is not of the form that LeRobot writes.
+    """
+    content = read_json(folder / "config.json")
     if not (folder / f"{BEFORE}.json").exists():
         raise CheckpointError(
             f"{folder} has no {BEFORE}.json: it is from before LeRobot 0.4, or not whole. LeRobot "
             "0.4 and later migrate it: python -m lerobot.processor.migrate_policy_normalization "
             f"--pretrained-path {folder}"
         )
+    with named(folder):
+        return policy_file(content)
+
+
+@contextmanager
+def named(folder: Path) -> Iterator[None]:
+    """Errors say in which folder."""
     try:
-        counterpart = check_type(theirs)
-        inputs = theirs.get("input_features") or {}
-        images = [k for k, feature in inputs.items() if feature["type"] == "VISUAL"]
-        settings, spec = settings_of(theirs, image_scaling_of(folder, images))
-        sizes = {STATE: spec.proprio_dim, ACTION: spec.action_dim}
-        stats = stats_of(folder, counterpart.scaling, sizes)
-    except CheckpointError as error:
-        raise CheckpointError(f"{folder} cannot be had here: {error}") from error
-    if config is not None:
-        _check_fit(folder, config, spec)
-    weights = read_weights(folder / "model.safetensors")
-    policy = make_policy(settings, spec, stats)
-    params = load(weights, jax.eval_shape(policy.init, jax.random.key(0)))
-    ensemble, notes = theirs.get("temporal_ensemble_coeff") or 0.0, []
-    if images != [IMAGE.format(v) for v in range(spec.views)]:
-        notes.append(f"Its images are taken for our views in this order: {', '.join(images)}.")
-    if ensemble and (config is None or is_delta(config.action_space)):
-        notes.append(DELTAS_AVERAGED)
-    if not theirs.get("use_group_norm", True):
-        notes.append(BATCH_NORMS)
-    name = theirs["type"]
-    return Foreign(name, settings, spec, stats, params, weights, ensemble, notes)
+        yield
+    except (CheckpointError, ConfigError) as error:
+        raise type(error)(f"{folder} cannot be had here: {error}") from error
 
 
 def adopt(folder: Path, config: TrainConfig) -> list[str]:
@@ -288,10 +333,10 @@ def _check_fit(folder: Path, config: TrainConfig, spec: PolicySpec) -> None:
         )
     if not (folder / "jaxcam.json").is_file():
         return
-    about = TrainConfig.completed(read_json(folder / "jaxcam.json"))
+    about = record_of(About, read_json(folder / "jaxcam.json"), "jaxcam.json")
     for name in ("action_space", "rotations"):
-        given, wanted = about.get(name, getattr(config, name)), getattr(config, name)
-        if given != wanted:
+        given, wanted = getattr(about, name), getattr(config, name)
+        if given not in (None, wanted):
             flag = name.replace("_", "-")
             raise CheckpointError(
                 f"{folder} has {name} {given}, as its jaxcam.json says, not {wanted}: "
