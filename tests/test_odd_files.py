@@ -14,12 +14,14 @@ from pathlib import Path
 import pytest
 import yaml
 from checked_run import CONFIG, make_run
+from lerobot_folders import FEATURES, config_of, write_folder
 from running import exit_code
 
 from jaxcam.checks.run import check_run
 from jaxcam.config.fields import to_json
 from jaxcam.data.pairs import read_digests
 from jaxcam.errors import JaxcamError
+from jaxcam.interop.lerobot.policy import describe, read_about, read_checkpoint
 from jaxcam.runs.grid import read_grid
 from jaxcam.runs.identity import read_config
 from jaxcam.runs.manifests import DamagedError, seal, steps_in
@@ -58,6 +60,22 @@ def grid(folder):
     return folder / "grid.yaml", lambda: read_grid(folder / "grid.yaml")
 
 
+def lerobot(kind, file):
+    """A file of a LeRobot checkpoint, whose other files are whole; no network is built."""
+
+    def make(folder):
+        pytest.importorskip("safetensors")
+        write_folder(folder, kind)
+        read = read_checkpoint if kind == "smolvla" else describe
+        return folder / file, lambda: read(folder)
+
+    return make
+
+
+def lerobot_about(folder):
+    return folder / "jaxcam.json", lambda: read_about(folder)
+
+
 ROW = {"step": 2, "split": "test", "pair": 0, "success": True, "status": "ok", "width": 50}
 METRIC = {"step": 1, "loss": 2.0, "skipped": 0.0, "seconds": 3.5}
 RATE = {"step": 2, "success_rate": 0.5, "low": 0.1, "high": 0.9, "pairs": 2}
@@ -71,12 +89,30 @@ GRID = {
     "runs": [{"task": "lift", "conditioning": ["none", "late"]}],
     "slurm": {"timeout_min": 4},
 }
+SCALES = {"eps": 1e-8, "features": FEATURES["output_features"], "norm_map": {"ACTION": "MIN_MAX"}}
+DEVICE = {"registry_name": "device_processor", "config": {"device": "cpu", "float_dtype": None}}
+BEFORE = {
+    "name": "policy_preprocessor",
+    "steps": [
+        {"registry_name": "rename_observations_processor", "config": {"rename_map": {}}},
+        {"registry_name": "to_batch_processor", "config": {}},
+        DEVICE,
+        {"registry_name": "normalizer_processor", "config": SCALES | {"norm_map": {}}},
+    ],
+}
+AFTER = {"steps": [{"registry_name": "unnormalizer_processor", "config": SCALES}, DEVICE]}
 KINDS = {
     "config.json": (config, [json.loads(to_json(CONFIG))]),
     "metrics.jsonl": (metrics, [METRIC, RATE, METRIC]),
     "rows.jsonl": (rows, [ROW, ROW | {"pair": 1}]),
     "pairs-test.json": (pairs, [{"sha256": WHOLE, "pairs": [PAIR, PAIR]}]),
     "grid.yaml": (grid, [GRID]),
+    "act/config.json": (lerobot("act", "config.json"), [config_of("act")]),
+    "diffusion/config.json": (lerobot("diffusion", "config.json"), [config_of("diffusion")]),
+    "smolvla/config.json": (lerobot("smolvla", "config.json"), [config_of("smolvla")]),
+    "before": (lerobot("act", "policy_preprocessor.json"), [BEFORE]),
+    "after": (lerobot("diffusion", "policy_postprocessor.json"), [AFTER]),
+    "jaxcam.json": (lerobot_about, [{"action_space": "eef_abs", "rotations": "nominal"}]),
 }
 """A reader, and what is in a healthy file: one object, or one a line."""
 

@@ -23,7 +23,7 @@ _FREE = {
     "type": "it is the policy's name",
     "normalization_mapping": "the pipelines are obeyed, which are compared by themselves",
     "pretrained_path": "it says where training began",
-    "pretrained_revision": "it says where training began",
+    "pretrained_revision": "it says where training began; that there is one, which losses",
     "device": "it says what computes",
     **dict.fromkeys(("push_to_hub", "repo_id", "private", "tags", "license"), "it is for the hub"),
     **dict.fromkeys(("optimizer_lr", "optimizer_weight_decay"), "it is for training"),

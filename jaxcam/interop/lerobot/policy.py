@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -215,6 +215,49 @@ def read_foreign(folder: Path, config: TrainConfig | None = None) -> Foreign:
             task.
         ConfigError: A file of its is not of the form that LeRobot writes.
     """
+    described = describe(folder)
+    theirs, spec, settings = described.theirs, described.spec, described.settings
+    counterpart, stats = COUNTERPARTS[theirs.type], described.stats
+    if config is not None:
+        _check_fit(folder, config, spec)
+    weights = read_weights(folder / "model.safetensors")
+    if weights.kind is None or weights.kind.title != counterpart.title:
+        title = weights.kind.title if weights.kind else "of an unknown kind"
+        raise CheckpointError(
+            f"{weights.path} is {title}, but its config.json is of {theirs.type}."
+        )
+    policy = make_policy(settings, spec, stats)
+    params = load(weights, jax.eval_shape(policy.init, jax.random.key(0)))
+    ensemble, notes = getattr(theirs, "temporal_ensemble_coeff", None) or 0.0, []
+    images = theirs.images
+    if images != [IMAGE.format(v) for v in range(spec.views)]:
+        notes.append(f"Its images are taken for our views in this order: {', '.join(images)}.")
+    if ensemble and (config is None or is_delta(config.action_space)):
+        notes.append(DELTAS_AVERAGED)
+    if not getattr(theirs, "use_group_norm", True):
+        notes.append(BATCH_NORMS)
+    return Foreign(theirs.type, settings, spec, stats, params, weights, ensemble, notes)
+
+
+class Described(NamedTuple):
+    """What stands beside a checkpoint's weights, as LeRobot says it and in our terms."""
+
+    theirs: PolicyFile
+    settings: Any
+    spec: PolicySpec
+    stats: Arrays
+
+
+def describe(folder: Path) -> Described:
+    """What stands beside the weights of a LeRobot checkpoint that can be made a run.
+
+    Args:
+        folder: Of the checkpoint.
+
+    Raises:
+        CheckpointError: It is not whole, or our network has no place for it.
+        ConfigError: A file of its is not of the form that LeRobot writes.
+    """
     theirs = read_checkpoint(folder)
     counterpart, name = COUNTERPARTS[theirs.type], theirs.type
     if counterpart.restore is None:
@@ -224,26 +267,11 @@ def read_foreign(folder: Path, config: TrainConfig | None = None) -> Foreign:
             f"--weights {folder}"
         )
     with named(folder):
-        spec, images = spec_of(theirs), theirs.images
-        settings = settings_of(theirs, image_scaling_of(folder, images))
+        spec = spec_of(theirs)
+        settings = settings_of(theirs, image_scaling_of(folder, theirs.images))
         sizes = {STATE: spec.proprio_dim, ACTION: spec.action_dim}
         stats = stats_of(folder, counterpart.scaling, sizes)
-    if config is not None:
-        _check_fit(folder, config, spec)
-    weights = read_weights(folder / "model.safetensors")
-    if weights.kind is None or weights.kind.title != counterpart.title:
-        title = weights.kind.title if weights.kind else "of an unknown kind"
-        raise CheckpointError(f"{weights.path} is {title}, but its config.json is of {name}.")
-    policy = make_policy(settings, spec, stats)
-    params = load(weights, jax.eval_shape(policy.init, jax.random.key(0)))
-    ensemble, notes = getattr(theirs, "temporal_ensemble_coeff", None) or 0.0, []
-    if images != [IMAGE.format(v) for v in range(spec.views)]:
-        notes.append(f"Its images are taken for our views in this order: {', '.join(images)}.")
-    if ensemble and (config is None or is_delta(config.action_space)):
-        notes.append(DELTAS_AVERAGED)
-    if not getattr(theirs, "use_group_norm", True):
-        notes.append(BATCH_NORMS)
-    return Foreign(name, settings, spec, stats, params, weights, ensemble, notes)
+    return Described(theirs, settings, spec, stats)
 
 
 def read_checkpoint(folder: Path) -> PolicyFile:
@@ -315,6 +343,18 @@ def adopt(folder: Path, config: TrainConfig) -> list[str]:
     return foreign.notes
 
 
+def read_about(folder: Path) -> About:
+    """What the `jaxcam.json` of a checkpoint says; without one nothing.
+
+    Raises:
+        ConfigError: It is not of the form that an export writes.
+    """
+    if not (folder / "jaxcam.json").exists():
+        return About()
+    with named(folder):
+        return record_of(About, read_json(folder / "jaxcam.json"), "jaxcam.json")
+
+
 def _check_fit(folder: Path, config: TrainConfig, spec: PolicySpec) -> None:
     """Refuses sizes that are not the task's."""
     for what, size, wanted in (
@@ -331,9 +371,7 @@ def _check_fit(folder: Path, config: TrainConfig, spec: PolicySpec) -> None:
             f"{folder} takes images of {spec.height} rows and {spec.width} columns; ours are "
             "square."
         )
-    if not (folder / "jaxcam.json").is_file():
-        return
-    about = record_of(About, read_json(folder / "jaxcam.json"), "jaxcam.json")
+    about = read_about(folder)
     for name in ("action_space", "rotations"):
         given, wanted = getattr(about, name), getattr(config, name)
         if given not in (None, wanted):
