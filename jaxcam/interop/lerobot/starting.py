@@ -4,6 +4,7 @@ Names and shapes of arrays do not say all of what a network computes: heads, nor
 layer, or how pictures are scaled. Beside LeRobot's weights lies what does, and is compared.
 """
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -63,7 +64,8 @@ def _check_alike(folder: Path, name: str | None, policy: Policy) -> None:
         settings = settings_of(replace(theirs, use_amp=False), images)  # the run's own arithmetic
     if wrong := unlike(policy.config, settings, OF_THE_RUN):
         listed = "; ".join(f"{key} is {short(there)} there" for key, _, there in wrong)
-        changes = " ".join(f"{key}={short(there).replace(' ', '')}" for key, _, there in wrong)
+        given = (f"{key}={there}".replace(" ", "") for key, _, there in wrong)
+        changes = " ".join(map(shlex.quote, given))
         raise CheckpointError(
             f"{folder} was trained with other settings than the run's: {listed}. "
             f"Give --preset lerobot, or --model {changes}"
