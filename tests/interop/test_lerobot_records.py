@@ -189,6 +189,8 @@ def test_a_feature_of_another_kind_is_not_scaled_as_an_action(tmp_path):
     (lambda c: c["steps"][3]["config"].update(eps=float("nan")), "must be finite"),
     (lambda c: c["steps"][3]["config"].update(clip=1), "clip"),
     (lambda c: c["steps"][3].update(state_file="../x.safetensors"), "no file of statistics"),
+    (lambda c: c["steps"][3].update(state_file="x" * 5000), "no file of statistics 'xxx"),
+    (lambda c: c["steps"][3]["config"].update(norm_map={"STATE": "MAX"}), "Unknown norm_map 'MAX'"),
     (lambda c: c["steps"][3].update(state_file=5), "state_file must be"),
 ])  # fmt: skip
 def test_pipelines_of_another_form_are_refused(tmp_path, change, why):

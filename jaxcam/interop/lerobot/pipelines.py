@@ -6,6 +6,7 @@ and a feature without statistics is left as it is.
 """
 
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +16,7 @@ import numpy as np
 
 from jaxcam.config.fields import short
 from jaxcam.errors import CheckpointError
-from jaxcam.interop.lerobot.records import SmolVlaFile, features, read_json, record_of
+from jaxcam.interop.lerobot.records import Mode, SmolVlaFile, features, read_json, record_of
 from jaxcam.models.fusion import IMAGENET_MEAN, IMAGENET_STD
 from jaxcam.models.normalization import LEROBOT_STD_FLOOR
 from jaxcam.models.smolvla.config import MOST_TOKENS
@@ -58,7 +59,7 @@ class Normalizer:
     """Settings of the step that scales."""
 
     features: dict[str, Any]
-    norm_map: dict[str, str]
+    norm_map: dict[str, Mode]
     eps: float = LEROBOT_STD_FLOOR
     normalize_observation_keys: list[str] | None = None
     stats: dict[str, Any] | None = None
@@ -211,7 +212,7 @@ def _state(folder: Path, name: str | None) -> Arrays:
     if not name:
         return {}
     file = folder / name
-    if Path(name).name != name or not file.is_file():
+    if name not in os.listdir(folder) or not file.is_file():
         raise CheckpointError(f"{folder} has no file of statistics {name!r:.80}.")
     if (size := file.stat().st_size) > BYTES:
         raise CheckpointError(f"{file} has {size} bytes, too many for statistics.")

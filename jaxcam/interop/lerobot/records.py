@@ -14,6 +14,8 @@ from jaxcam.errors import CheckpointError, ConfigError
 from jaxcam.files.paths import read_text
 
 C = TypeVar("C", bound=Settings)
+Mode = Literal["IDENTITY", "MEAN_STD", "MIN_MAX", "QUANTILES", "QUANTILE10"]
+"""How LeRobot scales a kind of feature."""
 NOT_WRITTEN = ""
 """Of a setting that 0.4.4 does not know."""
 LATER = ("pretrained_revision", "gradient_checkpointing")
@@ -51,7 +53,7 @@ class PolicyFile:
     type: str
     input_features: dict[str, Any] | None
     output_features: dict[str, Any] | None
-    normalization_mapping: dict[str, str]
+    normalization_mapping: dict[str, Mode]
     n_action_steps: int
     n_obs_steps: int
     device: str | None = "cpu"
