@@ -3,6 +3,7 @@
 import json
 from dataclasses import MISSING, fields
 
+import numpy as np
 import pytest
 from lerobot_folders import CONFIGS, config_of, edited, write_folder
 
@@ -12,7 +13,7 @@ from jaxcam.interop.lerobot.layout import settings_of, spec_of
 from jaxcam.interop.lerobot.policy import describe, read_foreign
 from jaxcam.interop.lerobot.records import MOST_BYTES
 
-pytest.importorskip("safetensors")
+safetensors = pytest.importorskip("safetensors.numpy")
 WRITTEN = [(version, kind) for version, kinds in CONFIGS.items() for kind in kinds]
 REFUSED = (CheckpointError, ConfigError)
 
@@ -140,6 +141,22 @@ def test_huge_and_impossible_sizes_are_refused_before_anything_is_made(kind, nam
         with pytest.raises(REFUSED) as error:
             meaning(kind, config_of(kind, **{name: size}))
         assert name in str(error.value)
+
+
+@pytest.mark.parametrize(("kind", "array", "changes", "name"), [
+    ("act", "model.encoder_latent_input_proj.weight", {"n_encoder_layers": 99}, "dim_model"),
+    ("act", "model.encoder_latent_input_proj.weight", {"chunk_size": 9999}, "chunk_size"),
+    ("diffusion", "diffusion.unet.diffusion_step_encoder.1.weight", {"down_dims": [8192] * 6},
+     "down_dims"),
+])  # fmt: skip
+def test_no_network_is_laid_out_of_sizes_that_no_array_has(tmp_path, kind, array, changes, name):
+    folder = write_folder(tmp_path / "a", kind, **changes)
+    arrays = {array: np.zeros((512, 4), np.float32)}
+    if name == "dim_model":
+        arrays = {array: np.zeros((5, 4), np.float32), "a": np.zeros(300, np.float32)}
+    safetensors.save_file(arrays, folder / "model.safetensors")
+    with pytest.raises(CheckpointError, match=f"{name} is .*, more than its weights have"):
+        read_foreign(folder)
 
 
 @pytest.mark.parametrize("shape", [

@@ -226,6 +226,7 @@ def read_foreign(folder: Path, config: TrainConfig | None = None) -> Foreign:
         raise CheckpointError(
             f"{weights.path} is {title}, but its config.json is of {theirs.type}."
         )
+    _check_sizes(theirs, weights)
     policy = make_policy(settings, spec, stats)
     params = load(weights, jax.eval_shape(policy.init, jax.random.key(0)))
     ensemble, notes = getattr(theirs, "temporal_ensemble_coeff", None) or 0.0, []
@@ -237,6 +238,19 @@ def read_foreign(folder: Path, config: TrainConfig | None = None) -> Foreign:
     if not getattr(theirs, "use_group_norm", True):
         notes.append(BATCH_NORMS)
     return Foreign(theirs.type, settings, spec, stats, params, weights, ensemble, notes)
+
+
+def _check_sizes(theirs: PolicyFile, weights: Weights) -> None:
+    """Refuses sizes that no array has, before a network of them is laid out."""
+    largest = max((size for x in weights.arrays.values() for size in x.shape), default=0)
+    for names, most in ((theirs.SIZES, largest), (theirs.COUNTS, len(weights.arrays))):
+        for name in names:
+            value = getattr(theirs, name)
+            if max(value if isinstance(value, tuple) else (value,)) > most:
+                raise CheckpointError(
+                    f"{weights.path.parent}: {name} is {value}, more than its weights have: it is "
+                    "not the config.json of these weights."
+                )
 
 
 class Described(NamedTuple):

@@ -7,7 +7,7 @@ in `jaxcam.interop.lerobot.counterparts`.
 import json
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 from jaxcam.config.fields import Settings, as_record, check_least, check_most, check_types
 from jaxcam.errors import CheckpointError, ConfigError
@@ -50,6 +50,10 @@ class Feature:
 class PolicyFile:
     """What the `config.json` of every policy says."""
 
+    SIZES: ClassVar[tuple[str, ...]] = ()
+    """Settings that are sizes of arrays among the weights."""
+    COUNTS: ClassVar[tuple[str, ...]] = ()
+    """Settings that are counts of layers, each with arrays of its own."""
     type: str
     input_features: dict[str, Any] | None
     output_features: dict[str, Any] | None
@@ -108,6 +112,8 @@ class PolicyFile:
 class ActFile(PolicyFile):
     """ACT's `config.json`."""
 
+    SIZES: ClassVar[tuple[str, ...]] = ("chunk_size", "dim_model", "dim_feedforward", "latent_dim")
+    COUNTS: ClassVar[tuple[str, ...]] = ("n_encoder_layers", "n_vae_encoder_layers")
     chunk_size: int
     pre_norm: bool
     dim_model: int
@@ -141,6 +147,9 @@ class ActFile(PolicyFile):
 class DiffusionFile(PolicyFile):
     """Diffusion Policy's `config.json`."""
 
+    SIZES: ClassVar[tuple[str, ...]] = (
+        "down_dims", "kernel_size", "diffusion_step_embed_dim", "spatial_softmax_num_keypoints",
+    )  # fmt: skip
     horizon: int
     spatial_softmax_num_keypoints: int
     down_dims: tuple[int, ...]
