@@ -27,10 +27,11 @@ from jaxcam.errors import ConfigError
 from jaxcam.evaluation.checkpoint import Wanted, evaluate
 from jaxcam.evaluation.evaluator import Candidate, Evaluator
 from jaxcam.files.paths import absolute
+from jaxcam.interop.lerobot.starting import read_start
 from jaxcam.interrupts import Stopped, interrupts
 from jaxcam.models import Policy, PolicySpec, Stats, make_policy, policy_settings
 from jaxcam.models.policy import blank_stats
-from jaxcam.models.weights.load import Weights, load, read_weights, record_weights
+from jaxcam.models.weights.load import Weights, load, record_weights
 from jaxcam.reports.camera_figures import ray_picture
 from jaxcam.reports.run_figures import write_plots
 from jaxcam.reports.run_page import write_report
@@ -180,12 +181,12 @@ def starting_weights(configs: Sequence[TrainConfig]) -> Weights | None:
 
     Raises:
         ConfigError: The policy cannot be built.
-        CheckpointError: The weights are not its.
+        CheckpointError: The weights are not its, or were trained with other settings.
     """
     policy, file = policy_of(configs[0]), configs[0].weights
     if not file or all(checkpoint_steps(config.run_dir) for config in configs):
         return None
-    weights = read_weights(file)
+    weights = read_start(file, policy)
     shapes = jax.eval_shape(policy.init, jax.random.key(0))
     load(weights, jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes))
     return weights

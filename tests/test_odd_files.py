@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 import yaml
 from checked_run import CONFIG, make_run
+from lerobot_folders import FEATURES, config_of, write_folder
 from odd_files import COUNT, ODD, TEXTS, flipped, odd_texts, places, replaced, written
 from running import exit_code
 
@@ -21,6 +22,7 @@ from jaxcam.checks.run import check_run
 from jaxcam.config.fields import to_json
 from jaxcam.data.pairs import read_digests
 from jaxcam.errors import JaxcamError
+from jaxcam.interop.lerobot.policy import describe, read_about, read_checkpoint
 from jaxcam.rays import read_pose_file
 from jaxcam.reports.arms import read_results
 from jaxcam.reports.records import read_records
@@ -70,6 +72,22 @@ def results(folder):
     return folder / "rows.jsonl", lambda: read_results(folder, "test")
 
 
+def lerobot(kind, file):
+    """A file of a LeRobot checkpoint, whose other files are whole; no network is built."""
+
+    def make(folder):
+        pytest.importorskip("safetensors")
+        write_folder(folder, kind)
+        read = read_checkpoint if kind == "smolvla" else describe
+        return folder / file, lambda: read(folder)
+
+    return make
+
+
+def lerobot_about(folder):
+    return folder / "jaxcam.json", lambda: read_about(folder)
+
+
 ROW = {"step": 2, "split": "test", "pair": 0, "success": True, "status": "ok", "width": 50}
 METRIC = {"step": 1, "loss": 2.0, "skipped": 0.0, "seconds": 3.5}
 RATE = {"step": 2, "success_rate": 0.5, "low": 0.1, "high": 0.9, "pairs": 2}
@@ -87,6 +105,18 @@ GRID = {
     "runs": [{"task": "lift", "conditioning": ["none", "late"]}],
     "slurm": {"timeout_min": 4},
 }
+SCALES = {"eps": 1e-8, "features": FEATURES["output_features"], "norm_map": {"ACTION": "MIN_MAX"}}
+DEVICE = {"registry_name": "device_processor", "config": {"device": "cpu", "float_dtype": None}}
+BEFORE = {
+    "name": "policy_preprocessor",
+    "steps": [
+        {"registry_name": "rename_observations_processor", "config": {"rename_map": {}}},
+        {"registry_name": "to_batch_processor", "config": {}},
+        DEVICE,
+        {"registry_name": "normalizer_processor", "config": SCALES | {"norm_map": {}}},
+    ],
+}
+AFTER = {"steps": [{"registry_name": "unnormalizer_processor", "config": SCALES}, DEVICE]}
 KINDS = {
     "config.json": (config, [json.loads(to_json(CONFIG))]),
     "metrics.jsonl": (metrics, [METRIC, RATE, METRIC]),
@@ -97,6 +127,12 @@ KINDS = {
     "poses.json": (poses, [{"config": {"seed": 3}, "poses": [POSE, POSE]}]),
     "runs.json": (records, [[RECORD, RECORD | {"run": 1, "name": "b"}]]),
     "results": (results, [ROW | {"run": 0}, ROW | {"run": 0, "pair": 1}]),
+    "act/config.json": (lerobot("act", "config.json"), [config_of("act")]),
+    "diffusion/config.json": (lerobot("diffusion", "config.json"), [config_of("diffusion")]),
+    "smolvla/config.json": (lerobot("smolvla", "config.json"), [config_of("smolvla")]),
+    "before": (lerobot("act", "policy_preprocessor.json"), [BEFORE]),
+    "after": (lerobot("diffusion", "policy_postprocessor.json"), [AFTER]),
+    "jaxcam.json": (lerobot_about, [{"action_space": "eef_abs", "rotations": "nominal"}]),
 }
 """A reader, and what is in a healthy file: one object, or one a line."""
 

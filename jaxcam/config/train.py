@@ -109,8 +109,8 @@ class TrainConfig:
     model: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ..."), default("none")] = ()
     """Changes to the policy's network as name=value, for example width=256."""
     weights: Annotated[str, default("none")] = ""
-    """File of weights to start from: those of an image encoder or of a whole policy. See what a
-    file holds with `python -m jaxcam.weights FILE`."""
+    """File of weights to start from: those of an image encoder or of a whole policy, or the folder
+    of a LeRobot checkpoint. See what a file holds with `python -m jaxcam.weights FILE`."""
     stem: Stem = "keep"
     """A first convolution that also takes the ray-map keeps the weights' kernel for colours, or
     starts anew, as the authors' does."""

@@ -5,12 +5,16 @@
     python tests/golden/make_lerobot_fields.py
 
 and whatever small packages those miss; `BLANK` lists parts of LeRobot, and packages, that are
-replaced by nothing. Policies are tiny, weights are made by their names (`weight` of
-`lerobot_networks.py`, which the test has too), noise is zero. A setting whose value LeRobot itself
-refuses has no actions. The test holds ours against each: equal, or refused.
+replaced by nothing. With `pip install "lerobot[diffusion]==0.6.1"`, of which nothing is replaced,
+it writes `lerobot_fields_0.6.json.gz`: that version's defaults, and what is new or moved in it.
+
+Policies are tiny, weights are made by their names (`weight` of `lerobot_networks.py`, which the
+test has too), noise is zero. A setting whose value LeRobot itself refuses has no actions. The test
+holds ours against each: equal, or refused.
 """
 
 import functools
+import gzip
 import importlib.abc
 import importlib.machinery
 import json
@@ -18,6 +22,7 @@ import sys
 import tempfile
 import zlib
 from dataclasses import fields
+from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
 from unittest.mock import MagicMock
@@ -53,7 +58,9 @@ class Blank(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         pass
 
 
-sys.meta_path.insert(0, Blank())
+IS_LATER = not version("lerobot").startswith("0.4.")
+if not IS_LATER:
+    sys.meta_path.insert(0, Blank())
 
 import diffusers.schedulers.scheduling_ddpm as ddpm  # noqa: E402
 from lerobot.configs.types import FeatureType, PolicyFeature  # noqa: E402
@@ -117,6 +124,13 @@ KINDS = {
     ),
 }  # fmt: skip
 """Settings of both policies: the usual ones of this test, and others of each."""
+LATER = {
+    "act": {"pretrained_revision": ["main"]},
+    "diffusion": {
+        "pretrained_revision": ["main"], "gradient_checkpointing": [True], "n_action_steps": [8],
+    },
+}  # fmt: skip
+"""What is varied with a later version, whose networks are the same but for their defaults."""
 NOT_VARIED = {
     "input_features", "output_features", "normalization_mapping",  # by the test
     "pretrained_backbone_weights",  # would download
@@ -162,21 +176,22 @@ def observation(steps: int) -> dict[str, np.ndarray]:
     }
 
 
-def features() -> dict[str, dict[str, PolicyFeature]]:
-    """What goes in and what comes out."""
+def features(count: int) -> dict[str, dict[str, PolicyFeature]]:
+    """What goes in, as many views among it, and what comes out."""
     views = {
         f"observation.images.view_{v}": PolicyFeature(FeatureType.VISUAL, (3, SIDE, SIDE))
-        for v in range(VIEWS)
+        for v in range(count)
     }
     state = {"observation.state": PolicyFeature(FeatureType.STATE, (STATE,))}
     action = {"action": PolicyFeature(FeatureType.ACTION, (ACTION,))}
     return {"input_features": views | state, "output_features": action}
 
 
-def run(kind: str, changes: dict) -> dict:
+def run(kind: str, changes: dict, views: int = VIEWS) -> dict:
     """A policy's files and, unless it cannot be, its actions."""
     make_config, make_policy, usual, _ = KINDS[kind]
-    config = make_config(**usual | {"device": "cpu"} | changes, **features())
+    always = {"device": "cpu", "pretrained_backbone_weights": None}
+    config = make_config(**usual | always | changes, **features(views))
     with tempfile.TemporaryDirectory() as folder:
         config._save_pretrained(Path(folder))
         record = {"config": json.loads((Path(folder) / "config.json").read_text())}
@@ -195,7 +210,7 @@ def run(kind: str, changes: dict) -> dict:
     policy.reset()
     for image, state in zip(obs["image"], obs["proprio"], strict=True):
         batch = {"observation.state": torch.from_numpy(state)}
-        for v in range(VIEWS):
+        for v in range(views):
             picture = torch.from_numpy(image[v]).permute(2, 0, 1) / 255
             batch[f"observation.images.view_{v}"] = picture
         noise = {}
@@ -217,32 +232,45 @@ def run(kind: str, changes: dict) -> dict:
     return record
 
 
+def record_of(kind: str, name: str, value: object, usual: dict) -> dict:
+    """One case: what differs from the usual one."""
+    changes = {name: value}
+    if name == "temporal_ensemble_coeff":
+        changes["n_action_steps"] = 1
+    try:
+        record = run(kind, changes)
+    except Exception as error:
+        record = {"config": dict(usual["config"]) | changes}
+        print(f"{kind} {name}={value}: LeRobot says {error!r:.90}", flush=True)
+    changed = {k: v for k, v in record["config"].items() if v != usual["config"].get(k)}
+    # LeRobot takes some back, such as `use_amp` on a CPU; a file may say so still.
+    case = {"config": changed | changes, "actions": record.get("actions")}
+    if record.get("shapes", usual["shapes"]) != usual["shapes"]:
+        case["shapes"] = record["shapes"]
+    return {"field": name, **case}
+
+
 def main() -> None:
     """Run every case."""
     out = {}
     for kind, (make_config, _, _, varied) in KINDS.items():
-        missing = {f.name for f in fields(make_config)} - varied.keys() - NOT_VARIED
-        assert not missing, missing
+        if IS_LATER:
+            varied = LATER[kind]
+        else:
+            missing = {f.name for f in fields(make_config)} - varied.keys() - NOT_VARIED
+            assert not missing, missing
         usual = run(kind, {})
-        out[kind] = usual | {"cases": []}
-        for name, values in varied.items():
-            for value in values:
-                changes = {name: value}
-                if name == "temporal_ensemble_coeff":
-                    changes["n_action_steps"] = 1
-                try:
-                    record = run(kind, changes)
-                except Exception as error:
-                    record = {"config": dict(usual["config"]) | changes}
-                    print(f"{kind} {name}={value}: LeRobot says {error!r:.90}", flush=True)
-                changed = {k: v for k, v in record["config"].items() if v != usual["config"].get(k)}
-                # LeRobot takes some back, such as `use_amp` on a CPU; a file may say so still.
-                case = {"config": changed | changes, "actions": record.get("actions")}
-                if record.get("shapes", usual["shapes"]) != usual["shapes"]:
-                    case["shapes"] = record["shapes"]
-                out[kind]["cases"].append({"field": name, **case})
-    path = Path(__file__).parent / "lerobot_fields.json"
-    path.write_text(json.dumps(out) + "\n")
+        pairs = [(name, value) for name, values in varied.items() for value in values]
+        out[kind] = usual | {"cases": [record_of(kind, *pair, usual) for pair in pairs]}
+        if IS_LATER:
+            one = run(kind, {}, views=1)
+            changed = {k: v for k, v in one["config"].items() if v != usual["config"][k]}
+            out[kind]["cases"].append({"field": "views", **one, "config": changed})
+    text = (json.dumps(out) + "\n").encode()
+    path = Path(__file__).parent / (
+        "lerobot_fields_0.6.json.gz" if IS_LATER else "lerobot_fields.json"
+    )
+    path.write_bytes(gzip.compress(text, mtime=0) if IS_LATER else text)
     print(path, path.stat().st_size)
 
 

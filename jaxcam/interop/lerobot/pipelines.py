@@ -6,19 +6,21 @@ and a feature without statistics is left as it is.
 """
 
 import json
+import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxcam.config.fields import as_record, check_value, short
+from jaxcam.config.fields import short
 from jaxcam.errors import CheckpointError
-from jaxcam.files.paths import read_text
+from jaxcam.interop.lerobot.records import Mode, SmolVlaFile, features, read_json, record_of
 from jaxcam.models.fusion import IMAGENET_MEAN, IMAGENET_STD
 from jaxcam.models.normalization import LEROBOT_STD_FLOOR
-from jaxcam.models.weights.load import read_weights
+from jaxcam.models.smolvla.config import MOST_TOKENS
+from jaxcam.models.weights.load import check_head, read_weights
 from jaxcam.models.weights.names_robot import Arrays
 
 STATE, ACTION, IMAGE = "observation.state", "action", "observation.images.view_{}"
@@ -30,44 +32,103 @@ SCALINGS = {
     "unit": (np.zeros(3, np.float32), np.ones(3, np.float32)),
 }
 """Mean and deviation of colours in 0 to 1, by the name of our scaling."""
-_HARMLESS = {
-    "rename_observations_processor": {"rename_map": ({},)},
-    "to_batch_processor": {},
-    "device_processor": {"device": None, "float_dtype": (None, "float32")},
-}
-"""Steps that leave numbers alone as long as their settings are among those named; None is any."""
-_SCALING = {
-    "eps": (LEROBOT_STD_FLOOR,),
-    "features": None,
-    "norm_map": None,
-    "normalize_observation_keys": (None,),
-    "stats": (None, {}),
-    "device": None,
-    "dtype": (None, "float32"),
-}
-"""Settings of the step that scales, in the same way."""
+BYTES = 256 * 2**20
+"""Most of a file of statistics."""
 
 
 @dataclass(frozen=True)
-class Feature:
-    """What LeRobot's files say of an input or an output.
+class Pipeline:
+    """A pipeline's file."""
 
-    Attributes:
-        type: "VISUAL", "STATE", "ACTION" or another.
-        shape: Of its array.
-    """
-
-    type: str
-    shape: list[int]
+    steps: list[Any]
+    name: str = ""
 
 
 @dataclass(frozen=True)
-class _Step:
-    """A step of a pipeline, as far as its form goes."""
+class Step:
+    """One step in it; a class is named where a step has no name of its own."""
 
-    name: str
-    config: dict[str, Any]
-    state_file: str | None
+    registry_name: str | None = None
+    class_name: str | None = None
+    config: dict[str, Any] | None = None
+    state_file: str | None = None
+
+
+@dataclass(frozen=True)
+class Normalizer:
+    """Settings of the step that scales."""
+
+    features: dict[str, Any]
+    norm_map: dict[str, Mode]
+    eps: float = LEROBOT_STD_FLOOR
+    normalize_observation_keys: list[str] | None = None
+    stats: dict[str, Any] | None = None
+    device: str | None = None
+    dtype: str | None = None
+
+
+@dataclass(frozen=True)
+class Renaming:
+    """Settings of the step that gives observations other names."""
+
+    rename_map: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Nothing:
+    """Of a step without settings."""
+
+
+@dataclass(frozen=True)
+class Device:
+    """Settings of the step that moves arrays."""
+
+    device: str | None = None
+    float_dtype: str | None = None
+
+
+@dataclass(frozen=True)
+class Tokenizer:
+    """Settings of the step that makes tokens of the task's words."""
+
+    max_length: int
+    task_key: str = "task"
+    padding_side: str = "right"
+    padding: str = "max_length"
+    truncation: bool = True
+    tokenizer_name: str | None = None
+
+
+STEPS: dict[str, tuple[type, dict[str, tuple[Any, ...]]]] = {
+    "rename_observations_processor": (Renaming, {"rename_map": ({},)}),
+    "to_batch_processor": (Nothing, {}),
+    "device_processor": (Device, {"float_dtype": (None, "float32")}),
+}
+"""Steps that leave numbers alone as long as the settings that are named have one of these values;
+others may have any."""
+WORDS: dict[str, tuple[type, dict[str, tuple[Any, ...]]]] = {
+    "smolvla_new_line_processor": (Nothing, {}),
+    "tokenizer_processor": (
+        Tokenizer,
+        {
+            "max_length": tuple(range(MOST_TOKENS, 4097)),  # ours are at most as long
+            "task_key": ("task",),
+            "padding_side": ("right",),
+            "tokenizer_name": (None, SmolVlaFile.vlm_model_name),
+        },
+    ),
+}
+"""Steps of a policy that reads words, in the same way."""
+_SCALES = (
+    Normalizer,
+    {
+        "eps": (LEROBOT_STD_FLOOR,),
+        "normalize_observation_keys": (None,),
+        "stats": (None, {}),
+        "dtype": (None, "float32"),
+    },
+)
+"""The step that scales, in the same way."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +148,8 @@ class Scaling:
     def mode(self, feature: str) -> str:
         """How it scales a feature; actions need not be listed."""
         kind = "ACTION" if feature == ACTION else self.kinds.get(feature, "")
+        if kind == "ACTION" and feature != ACTION:
+            return "IDENTITY"  # as LeRobot passes it over
         has_any = any(name.rpartition(".")[0] == feature for name in self.arrays)
         return self.modes.get(kind, "IDENTITY") if has_any else "IDENTITY"
 
@@ -96,7 +159,10 @@ class Scaling:
         for name in (f"{feature}.{statistic}" for statistic in names):
             if name not in self.arrays:
                 raise CheckpointError(f"It scales {feature} by '{name}', which it does not have.")
-            array = np.asarray(self.arrays[name], np.float32).ravel()
+            array = self.arrays[name].ravel()
+            if np.iscomplexobj(array):
+                raise CheckpointError(f"'{name}' are complex numbers.")
+            array = array.astype(np.float32)
             if array.size != size or not np.isfinite(array).all():
                 raise CheckpointError(f"'{name}' are not {size} finite numbers: {array[:8]}.")
             pair.append(array)
@@ -112,65 +178,46 @@ def read_scaling(folder: Path, name: str) -> Scaling:
 
     Raises:
         CheckpointError: It has none or several, or a step that changes numbers in another way.
+        ConfigError: The file is not of the form that LeRobot writes.
     """
     path = folder / f"{name}.json"
-    wanted = "normalizer_processor" if name == BEFORE else "unnormalizer_processor"
-    scaling: list[_Step] = []
-    for step in _steps(path):
-        if step.name == wanted:
-            scaling.append(step)
-        elif step.name not in _HARMLESS:
-            raise CheckpointError(f"{path} has the step '{step.name}', which has no place here.")
-        known = _SCALING if step.name == wanted else _HARMLESS[step.name]
-        for key, value in step.config.items():
-            allowed = known.get(key, ())
-            if allowed is not None and value not in allowed:
+    scales = "normalizer_processor" if name == BEFORE else "unnormalizer_processor"
+    known = STEPS | WORDS | {scales: _SCALES}
+    scaling: list[tuple[Step, Any]] = []
+    for listed in record_of(Pipeline, read_json(path), str(path)).steps:
+        if isinstance(listed, dict):
+            listed = {"class_name" if k == "class" else k: v for k, v in listed.items()}
+        step = record_of(Step, listed, f"a step of {path}")
+        kind = step.registry_name or step.class_name or ""
+        if kind not in known:
+            raise CheckpointError(f"{path} has the step {kind!r:.80}, which has no place here.")
+        record, allowed = known[kind]
+        settings = record_of(record, step.config or {}, f"{path}: step '{kind}'")
+        for key, values in allowed.items():
+            if (value := getattr(settings, key)) not in values:
                 raise CheckpointError(
-                    f"{path}: {key} of '{step.name}' is {short(value)}, which has no place here."
+                    f"{path}: {key} of '{kind}' is {short(value)}, which has no place here."
                 )
+        scaling += [(step, settings)] if kind == scales else []
     if len(scaling) != 1:
-        raise CheckpointError(f"{path} has {len(scaling)} steps '{wanted}', not one.")
-    settings, file = scaling[0].config, scaling[0].state_file
-    if file and file not in {path.name for path in folder.iterdir() if path.is_file()}:
-        raise CheckpointError(f"{folder} has no file of statistics {short(file)}.")
-    kinds = {k: feature.type for k, feature in features_of(path, settings, "features").items()}
-    modes = settings.get("norm_map", {})
-    check_value(f"{path}: ", "norm_map", modes, dict[str, str])
-    return Scaling(modes, kinds, read_weights(folder / file).arrays if file else {})
+        raise CheckpointError(f"{path} has {len(scaling)} steps '{scales}', not one.")
+    [(step, settings)] = scaling
+    listed = features(settings.features, f"the features of {path}")
+    kinds = {key: feature.type for key, feature in listed.items()}
+    return Scaling(settings.norm_map, kinds, _state(folder, step.state_file))
 
 
-def _steps(path: Path) -> list[_Step]:
-    """The steps of a pipeline's file."""
-    steps = read_json(path).get("steps", [])
-    check_value(f"{path}: ", "steps", steps, list[dict[str, Any]])
-    return [
-        as_record(
-            _Step,
-            {
-                "name": step.get("registry_name", step.get("class")),
-                "config": step.get("config") or {},
-                "state_file": step.get("state_file"),
-            },
-            f"{path}, step {number}",
-        )
-        for number, step in enumerate(steps)
-    ]
-
-
-def features_of(path: Path, content: Mapping[str, Any], name: str) -> dict[str, Feature]:
-    """The features that an entry of a file lists; none if there is none.
-
-    Args:
-        path: Of the file, for messages.
-        content: What has the entry.
-        name: Of the entry.
-
-    Raises:
-        ConfigError: It is none of features.
-    """
-    listed = content.get(name) or {}
-    check_value(f"{path}: ", name, listed, dict[str, dict[str, Any]])
-    return {k: as_record(Feature, about, f"{path}, {k}") for k, about in listed.items()}
+def _state(folder: Path, name: str | None) -> Arrays:
+    """The statistics that a step has in a file of its own."""
+    if not name:
+        return {}
+    file = folder / name
+    if name not in os.listdir(folder) or not file.is_file():
+        raise CheckpointError(f"{folder} has no file of statistics {name!r:.80}.")
+    if (size := file.stat().st_size) > BYTES:
+        raise CheckpointError(f"{file} has {size} bytes, too many for statistics.")
+    check_head(file)
+    return read_weights(file).arrays
 
 
 def read_stats(folder: Path, wanted: Mapping[str, str], sizes: Mapping[str, int]) -> Arrays:
@@ -301,20 +348,3 @@ def safetensors_numpy() -> Any:
 def write_json(path: Path, content: dict[str, Any]) -> None:
     """Write readable JSON."""
     path.write_text(json.dumps(content, indent=2) + "\n")
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """What a JSON file of a checkpoint says.
-
-    Raises:
-        CheckpointError: There is no such file, or it holds anything else.
-    """
-    if not path.is_file():
-        raise CheckpointError(f"{path.parent} is no LeRobot checkpoint: it has no {path.name}.")
-    try:
-        content = json.loads(read_text(path))
-    except (OSError, ValueError, RecursionError) as error:
-        raise CheckpointError(f"{path.parent} is no LeRobot checkpoint: {error}.") from error
-    if not isinstance(content, dict):
-        raise CheckpointError(f"{path.parent} is no LeRobot checkpoint: {path.name} is no object.")
-    return content

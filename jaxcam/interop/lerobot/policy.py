@@ -5,24 +5,21 @@ goes into the network and what comes out of it (`jaxcam.interop.lerobot.pipeline
 `jaxcam.interop.lerobot.layout` knows.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
+from jaxcam.config.fields import check_types
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import CheckpointError, ConfigError
 from jaxcam.files.whole import whole
-from jaxcam.interop.lerobot.layout import (
-    COUNTERPARTS,
-    Counterpart,
-    check_type,
-    config_of,
-    settings_of,
-)
+from jaxcam.interop.lerobot.counterparts import COUNTERPARTS, Counterpart, policy_file
+from jaxcam.interop.lerobot.layout import config_of, settings_of, spec_of
 from jaxcam.interop.lerobot.pipelines import (
     ACTION,
     BEFORE,
@@ -30,14 +27,13 @@ from jaxcam.interop.lerobot.pipelines import (
     SCALINGS,
     STATE,
     STATISTICS,
-    features_of,
     image_scaling_of,
-    read_json,
     read_stats,
     safetensors_numpy,
     write_json,
     write_pipelines,
 )
+from jaxcam.interop.lerobot.records import PolicyFile, read_json, record_of
 from jaxcam.models import Params, PolicySpec, make_policy
 from jaxcam.models.act.transformer import sine_table
 from jaxcam.models.normalization import (
@@ -62,6 +58,22 @@ VERSION = "0.4.4"
 """LeRobot's version whose layout this is."""
 ABOUT = ("task", "scene", "action_space", "rotations")
 """The settings that an export of ours tells beside LeRobot's, in `jaxcam.json`."""
+
+
+@dataclass(frozen=True)
+class About:
+    """What `jaxcam.json` says; of what it does not, nothing is known."""
+
+    action_space: str | None = None
+    rotations: str | None = None
+    task: str | None = None
+    scene: str | None = None
+    step: int | None = None
+
+    completed = TrainConfig.completed
+
+    def __post_init__(self) -> None:
+        check_types(self)
 
 
 DELTAS_AVERAGED = (
@@ -89,8 +101,9 @@ def export_policy(inputs: PolicyInputs, out: Path) -> list[str]:
         CheckpointError: LeRobot's network has no place for this policy, or `out` exists.
     """
     name = inputs.config.policy
-    if name not in COUNTERPARTS:
-        raise CheckpointError(f"Only {' and '.join(COUNTERPARTS)} can be exported, not {name}.")
+    if name not in COUNTERPARTS or COUNTERPARTS[name].restore is None:
+        known = " and ".join(n for n, one in COUNTERPARTS.items() if one.restore)
+        raise CheckpointError(f"Only {known} can be exported, not {name}.")
     (settings, spec), counterpart = records_of(inputs), COUNTERPARTS[name]
     if out.exists():
         raise CheckpointError(f"{out} exists. Choose another folder, or delete it first.")
@@ -125,7 +138,8 @@ def export_policy(inputs: PolicyInputs, out: Path) -> list[str]:
 def _arrays(counterpart: Counterpart, settings: Any, spec: PolicySpec, params: Params) -> Arrays:
     """All arrays of their network, constants too."""
     kind = next(m for m in MAPS if m.title == counterpart.title)
-    arrays = counterpart.restore(to_torch(params, kind))
+    arrays = to_torch(params, kind)
+    arrays = counterpart.restore(arrays) if counterpart.restore else arrays
     for name, array in arrays.items():
         if name.endswith(("img_feat_input_proj.weight", "pool.nets.weight")):
             arrays[name] = array[..., None, None]  # there a 1x1 convolution
@@ -199,37 +213,109 @@ def read_foreign(folder: Path, config: TrainConfig | None = None) -> Foreign:
     Raises:
         CheckpointError: It is not whole, our network has no place for it, or it does not fit the
             task.
+        ConfigError: A file of its is not of the form that LeRobot writes.
     """
-    theirs = read_json(folder / "config.json")
+    described = describe(folder)
+    theirs, spec, settings = described.theirs, described.spec, described.settings
+    counterpart, stats = COUNTERPARTS[theirs.type], described.stats
+    if config is not None:
+        _check_fit(folder, config, spec)
+    weights = read_weights(folder / "model.safetensors")
+    if weights.kind is None or weights.kind.title != counterpart.title:
+        title = weights.kind.title if weights.kind else "of an unknown kind"
+        raise CheckpointError(
+            f"{weights.path} is {title}, but its config.json is of {theirs.type}."
+        )
+    _check_sizes(theirs, weights)
+    policy = make_policy(settings, spec, stats)
+    params = load(weights, jax.eval_shape(policy.init, jax.random.key(0)))
+    ensemble, notes = getattr(theirs, "temporal_ensemble_coeff", None) or 0.0, []
+    images = theirs.images
+    if images != [IMAGE.format(v) for v in range(spec.views)]:
+        notes.append(f"Its images are taken for our views in this order: {', '.join(images)}.")
+    if ensemble and (config is None or is_delta(config.action_space)):
+        notes.append(DELTAS_AVERAGED)
+    if not getattr(theirs, "use_group_norm", True):
+        notes.append(BATCH_NORMS)
+    return Foreign(theirs.type, settings, spec, stats, params, weights, ensemble, notes)
+
+
+def _check_sizes(theirs: PolicyFile, weights: Weights) -> None:
+    """Refuses sizes that no array has, before a network of them is laid out."""
+    largest = max((size for x in weights.arrays.values() for size in x.shape), default=0)
+    for names, most in ((theirs.SIZES, largest), (theirs.COUNTS, len(weights.arrays))):
+        for name in names:
+            value = getattr(theirs, name)
+            if max(value if isinstance(value, tuple) else (value,)) > most:
+                raise CheckpointError(
+                    f"{weights.path.parent}: {name} is {value}, more than its weights have: it is "
+                    "not the config.json of these weights."
+                )
+
+
+class Described(NamedTuple):
+    """What stands beside a checkpoint's weights, as LeRobot says it and in our terms."""
+
+    theirs: PolicyFile
+    settings: Any
+    spec: PolicySpec
+    stats: Arrays
+
+
+def describe(folder: Path) -> Described:
+    """What stands beside the weights of a LeRobot checkpoint that can be made a run.
+
+    Args:
+        folder: Of the checkpoint.
+
+    Raises:
+        CheckpointError: It is not whole, or our network has no place for it.
+        ConfigError: A file of its is not of the form that LeRobot writes.
+    """
+    theirs = read_checkpoint(folder)
+    counterpart, name = COUNTERPARTS[theirs.type], theirs.type
+    if counterpart.restore is None:
+        raise CheckpointError(
+            f"{folder} is of policy '{name}', which cannot be made a run as it is. A run can begin "
+            f"with its weights: python -m jaxcam.train --policy {name} --preset lerobot "
+            f"--weights {folder}"
+        )
+    with named(folder):
+        spec = spec_of(theirs)
+        settings = settings_of(theirs, image_scaling_of(folder, theirs.images))
+        sizes = {STATE: spec.proprio_dim, ACTION: spec.action_dim}
+        stats = read_stats(folder, counterpart.scaling, sizes)
+    return Described(theirs, settings, spec, stats)
+
+
+def read_checkpoint(folder: Path) -> PolicyFile:
+    """The `config.json` of a checkpoint that has its pipelines.
+
+    Args:
+        folder: Of the checkpoint.
+
+    Raises:
+        CheckpointError: It is none, or of a policy or a LeRobot that is unknown here.
+        ConfigError: Its file is not of the form that LeRobot writes.
+    """
+    content = read_json(folder / "config.json")
     if not (folder / f"{BEFORE}.json").exists():
         raise CheckpointError(
             f"{folder} has no {BEFORE}.json: it is from before LeRobot 0.4, or not whole. LeRobot "
             "0.4 and later migrate it: python -m lerobot.processor.migrate_policy_normalization "
             f"--pretrained-path {folder}"
         )
+    with named(folder):
+        return policy_file(content)
+
+
+@contextmanager
+def named(folder: Path) -> Iterator[None]:
+    """Errors say in which folder."""
     try:
-        counterpart = check_type(theirs)
-        inputs = features_of(folder / "config.json", theirs, "input_features")
-        images = [k for k, feature in inputs.items() if feature.type == "VISUAL"]
-        settings, spec = settings_of(theirs, image_scaling_of(folder, images))
-        sizes = {STATE: spec.proprio_dim, ACTION: spec.action_dim}
-        stats = read_stats(folder, counterpart.scaling, sizes)
+        yield
     except (CheckpointError, ConfigError) as error:
-        raise CheckpointError(f"{folder} cannot be had here: {error}") from error
-    if config is not None:
-        _check_fit(folder, config, spec)
-    weights = read_weights(folder / "model.safetensors")
-    policy = make_policy(settings, spec, stats)
-    params = load(weights, jax.eval_shape(policy.init, jax.random.key(0)))
-    ensemble, notes = theirs.get("temporal_ensemble_coeff") or 0.0, []
-    if images != [IMAGE.format(v) for v in range(spec.views)]:
-        notes.append(f"Its images are taken for our views in this order: {', '.join(images)}.")
-    if ensemble and (config is None or is_delta(config.action_space)):
-        notes.append(DELTAS_AVERAGED)
-    if not theirs.get("use_group_norm", True):
-        notes.append(BATCH_NORMS)
-    name = theirs["type"]
-    return Foreign(name, settings, spec, stats, params, weights, ensemble, notes)
+        raise type(error)(f"{folder} cannot be had here: {error}") from error
 
 
 def adopt(folder: Path, config: TrainConfig) -> list[str]:
@@ -271,6 +357,18 @@ def adopt(folder: Path, config: TrainConfig) -> list[str]:
     return foreign.notes
 
 
+def read_about(folder: Path) -> About:
+    """What the `jaxcam.json` of a checkpoint says; without one nothing.
+
+    Raises:
+        ConfigError: It is not of the form that an export writes.
+    """
+    if not (folder / "jaxcam.json").exists():
+        return About()
+    with named(folder):
+        return record_of(About, read_json(folder / "jaxcam.json"), "jaxcam.json")
+
+
 def _check_fit(folder: Path, config: TrainConfig, spec: PolicySpec) -> None:
     """Refuses sizes that are not the task's."""
     for what, size, wanted in (
@@ -287,12 +385,10 @@ def _check_fit(folder: Path, config: TrainConfig, spec: PolicySpec) -> None:
             f"{folder} takes images of {spec.height} rows and {spec.width} columns; ours are "
             "square."
         )
-    if not (folder / "jaxcam.json").is_file():
-        return
-    about = TrainConfig.completed(read_json(folder / "jaxcam.json"))
+    about = read_about(folder)
     for name in ("action_space", "rotations"):
-        given, wanted = about.get(name, getattr(config, name)), getattr(config, name)
-        if given != wanted:
+        given, wanted = getattr(about, name), getattr(config, name)
+        if given not in (None, wanted):
             flag = name.replace("_", "-")
             raise CheckpointError(
                 f"{folder} has {name} {given}, as its jaxcam.json says, not {wanted}: "

@@ -14,7 +14,8 @@ from lerobot_policies import ACTION, PROPRIO, SIDE, inputs_of, settings_for
 from jaxcam.config.commands import WeightsConfig
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import CheckpointError
-from jaxcam.interop.lerobot.layout import config_of, settings_of
+from jaxcam.interop.lerobot.counterparts import policy_file
+from jaxcam.interop.lerobot.layout import config_of, settings_of, spec_of
 from jaxcam.interop.lerobot.policy import adopt, export_policy, read_foreign
 from jaxcam.models import FAMILIES, PolicySpec
 from jaxcam.models.conditioning import with_conditioning
@@ -74,9 +75,9 @@ def test_settings_there_and_back(name):
     settings: Any = settings_for(name)
     spec = PolicySpec(ACTION, PROPRIO, 2, SIDE, SIDE, settings.chunk, settings.obs_steps)
     config = config_of(settings, spec)
-    json.dumps(config)
-    back, sizes = settings_of(config, "imagenet")
-    assert sizes == spec
+    theirs = policy_file(json.loads(json.dumps(config)))
+    back = settings_of(theirs, "imagenet")
+    assert spec_of(theirs) == spec
     floors = {"action_std_floor": back.action_std_floor} if name == "act" else {}
     assert back == replace(settings, floors=False, **floors)
 
@@ -158,7 +159,7 @@ def test_what_has_no_place_here_is_told(tmp_path):
     export_policy(inputs_of(settings_for("act")), out)
     run = TrainConfig(run_dir=str(tmp_path / "run"))
     edited(out, vision_backbone="resnet34")
-    with pytest.raises(CheckpointError, match="vision_backbone is resnet34, not resnet18"):
+    with pytest.raises(CheckpointError, match="vision_backbone is 'resnet34', not resnet18"):
         adopt(out, run)
     edited(out, vision_backbone="resnet18", dim_feedforward=48)
     with pytest.raises(CheckpointError, match=r"linear1.*expected \(48, 16\), got \(24, 16\)"):
