@@ -19,7 +19,7 @@ Mode = Literal["IDENTITY", "MEAN_STD", "MIN_MAX", "QUANTILES", "QUANTILE10"]
 NOT_WRITTEN = ""
 """Of a setting that 0.4.4 does not know."""
 LATER = ("pretrained_revision", "gradient_checkpointing")
-"""SettingsRecord that 0.4.4 does not know, and would not read."""
+"""Settings that 0.4.4 does not know, and would not read."""
 MOST_BYTES = 16 * 2**20
 """Of a file; parsed it takes ten times as much memory."""
 MOST_NUMBERS = 10_000
@@ -51,9 +51,9 @@ class PolicyFile:
     """What the `config.json` of every policy says."""
 
     SIZES: ClassVar[tuple[str, ...]] = ()
-    """SettingsRecord that are sizes of arrays among the weights."""
+    """Settings that are sizes of arrays among the weights."""
     COUNTS: ClassVar[tuple[str, ...]] = ()
-    """SettingsRecord that are counts of layers, each with arrays of its own."""
+    """Settings that are counts of layers, each with arrays of its own."""
     type: str
     input_features: dict[str, Any] | None
     output_features: dict[str, Any] | None
