@@ -60,6 +60,8 @@ class Samples:
     layout: Layout
     train: int
     """Number of training demonstrations; the rest are for validation."""
+    ordered: bool = False
+    """Whether the cameras of a sample stand in the order of their window."""
 
     def index(self, seed: int, step: int, batch: int, views: int) -> Sample:
         """The samples of one update: demonstrations, time steps and cameras.
@@ -85,14 +87,14 @@ class Samples:
                 for r, d in zip(draws, order, strict=True)
             ]
         )
-        return order, t, cameras
+        return order, t, np.sort(cameras, 1) if self.ordered else cameras
 
     def validation(self, views: int, per_demo: int = 16) -> Sample:
         """Evenly spaced steps of every validation demonstration."""
         lengths = self.layout.lengths[self.train :]
         demos = np.arange(self.train, self.train + len(lengths)).repeat(per_demo)
         t = np.concatenate([np.linspace(0, n - 1, per_demo).astype(int) for n in lengths])
-        cameras = np.tile(np.arange(views) % self.layout.cameras[-1], (len(demos), 1))
+        cameras = np.arange(views) % self.layout.cameras[demos][:, None]
         return demos, t, cameras
 
     def wanted(

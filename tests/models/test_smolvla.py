@@ -22,7 +22,8 @@ from jaxcam.models.smolvla.prompt import tokenize, with_prompt
 from jaxcam.models.smolvla.siglip import Siglip
 from jaxcam.models.smolvla.smollm import rope
 from jaxcam.models.smolvla.stack import through
-from jaxcam.pipeline import policy_of
+from jaxcam.pipeline.sources import source_of
+from jaxcam.pipeline.train import policy_of
 from jaxcam.runs.identity import resolve
 from jaxcam.sim import make_task
 from jaxcam.training.state import make_optimizer
@@ -240,7 +241,7 @@ def test_training_on_any_task_reads_that_tasks_prompt(tokenizer, task):
     made, file = tokenizer
     changes = ("tokens=()", f"tokenizer={file}", f"vocabulary={made.get_vocab_size()}")
     run = TrainConfig(task=task, policy="smolvla", preset="tiny", model=changes)
-    settings = policy_of(resolve(run, accelerator=False)).config
+    settings = policy_of(source_of(run), resolve(run, accelerator=False)).config
     made.no_padding()
     assert settings.prompt == make_task(task).prompt
     assert settings.tokens == tuple(made.encode(settings.prompt + "\n").ids)

@@ -23,7 +23,8 @@ from jaxcam.models.smolvla.config import SMOLVLA_PRESETS
 from jaxcam.models.weights.load import Weights, load, read_weights, record_weights, show
 from jaxcam.models.weights.names import MAPS, recognise, unwrap
 from jaxcam.models.weights.torch_files import MOST_STEPS, read_torch
-from jaxcam.pipeline import starting_weights, train
+from jaxcam.pipeline.sources import source_of
+from jaxcam.pipeline.train import starting_weights, train
 from jaxcam.runs.identity import resolve
 
 LONG = f"tokens={(1,) * 49}"
@@ -461,9 +462,9 @@ def test_weights_that_fit_are_recorded_and_only_read_for_a_new_run(tmp_path):
     config = resolve(config, accelerator=False)
     assert "-resnet-" in config.run_dir
     config = replace(config, run_dir=str(tmp_path))
-    weights = starting_weights([config])
+    weights = starting_weights(source_of(config), [config])
     record_weights(tmp_path, weights)
     record = json.loads((tmp_path / "weights.json").read_text())
     assert record == {"file": str(file), "kind": weights.kind.title, "sha256": weights.sha256}
     (tmp_path / "checkpoints/1").mkdir(parents=True)
-    assert starting_weights([config]) is None
+    assert starting_weights(source_of(config), [config]) is None

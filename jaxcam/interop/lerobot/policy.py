@@ -15,6 +15,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxcam.config.sizes import size_name
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import CheckpointError
 from jaxcam.interop.lerobot.layout import (
@@ -248,7 +249,8 @@ def adopt(folder: Path, config: TrainConfig) -> list[str]:
     foreign = read_foreign(folder, config)
     spec, weights = foreign.spec, foreign.weights
     named = {"policy": foreign.policy, "preset": "lerobot", "conditioning": "none"}
-    sizes = {"views": spec.views, "resolution": spec.height, "ensemble": foreign.ensemble}
+    size = size_name(spec.height, spec.width)
+    sizes = {"views": spec.views, "resolution": size, "ensemble": foreign.ensemble}
     config = resolve(
         replace(config, **named, **sizes, weights=str(weights.path)), accelerator=False
     )
@@ -281,11 +283,6 @@ def _check_fit(folder: Path, config: TrainConfig, spec: PolicySpec) -> None:
                 f"{folder} has {what} {size}, but {config.task} in {config.action_space} has "
                 f"{wanted}."
             )
-    if spec.height != spec.width:
-        raise CheckpointError(
-            f"{folder} takes images of {spec.height} rows and {spec.width} columns; ours are "
-            "square."
-        )
     if not (folder / "jaxcam.json").is_file():
         return
     about = TrainConfig.completed(read_json(folder / "jaxcam.json"))
