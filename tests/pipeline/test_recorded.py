@@ -1,7 +1,6 @@
 """Policies that learn from recorded datasets: trained, resumed, judged and reported."""
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ from jaxcam.pipeline.sources import source_of
 from jaxcam.pipeline.train import train
 from jaxcam.runs.action_errors import read_errors
 from jaxcam.runs.identity import read_config, resolve
+from jaxcam.runs.metrics import read_metrics
 
 SMALL = {
     "steps": 4, "batch": 4, "warmup": 1, "resolution": 24, "preset": "laptop", "validation": 1,
@@ -56,7 +56,7 @@ def test_a_run_is_trained_resumed_and_reported(folder):
     page = (run / "report.html").read_text()
     assert "recorded dataset cups" in page
     assert "new cameras" in page
-    losses = [json.loads(line).get("val_loss") for line in open(run / "metrics.jsonl")]
+    losses = [row.get("val_loss") for row in read_metrics(run)]
     assert all(np.isfinite(x) for x in losses if x is not None)
     assert train(config) == 0  # nothing is left to be done
     assert len(read_errors(run)) == len(rows)
@@ -83,7 +83,7 @@ def test_what_does_not_go_with_recorded_data_is_refused(folder):
 
 
 def test_cameras_that_nobody_calibrated(folder):
-    place, made = folder
+    _, made = folder
     episode = made["recording"].episodes[2]
     episode.sights["side"] = dataclasses.replace(episode.sights["side"], calibration=None)
     with pytest.raises(ConfigError, match=r"where these cameras stood: side\. .*--cameras FILE"):
