@@ -179,7 +179,7 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         check_types(self)
-        check_rotations(self.action_space, self.rotations)
+        check_rotations(vars(self)["action_space"] or "eef_delta", self.rotations)
         check_least(self, 1, "views steps batch n demos pairs keep log_every eval_every")
         check_least(self, 1, "save_every steps_per_call accumulate")
         check_least(self, 0, "warmup weight_decay m validation ema ema_power clip_norm")
