@@ -3,7 +3,7 @@
 from jaxcam.config.train import TrainConfig
 from jaxcam.console.command import CommandLine
 
-COMMAND = CommandLine(TrainConfig, "jaxcam.pipeline:main")
+COMMAND = CommandLine(TrainConfig, "jaxcam.pipeline.train:main")
 
 if __name__ == "__main__":
     COMMAND.run()

@@ -14,7 +14,7 @@ from conftest import TINY
 from jaxcam.config.fields import from_json
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, JaxcamError
-from jaxcam.pipeline import train
+from jaxcam.pipeline.train import train
 
 STEPS = 160
 SMALL = {"resolution": 32, "steps": STEPS, "batch": 4, "pairs": 4, "log_every": 2,

@@ -12,7 +12,7 @@ import pytest
 
 from jaxcam.config.names import SceneName, TaskName
 from jaxcam.config.train import TrainConfig
-from jaxcam.pipeline import train
+from jaxcam.pipeline.train import train
 from jaxcam.runs.identity import resolve
 from jaxcam.sim import make_task
 from jaxcam.sim.actions import ACTION_SPACES

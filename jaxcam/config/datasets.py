@@ -20,7 +20,8 @@ from jaxcam.config.names import (
     SceneName,
     TaskName,
 )
-from jaxcam.config.train import MOST_DEMOS, MOST_PIXELS, TrainConfig
+from jaxcam.config.sizes import sides
+from jaxcam.config.train import MOST_DEMOS, TrainConfig
 from jaxcam.errors import ConfigError
 
 
@@ -134,9 +135,10 @@ class LerobotConfig:
     """HDF5 file of demonstrations."""
     out: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="FOLDER")]]
     """Folder to write."""
-    resolution: int = 256
-    """Image side in pixels, an even number; 84 shares the laptop preset's pictures."""
-    action_space: ActionSpace = TrainConfig.action_space
+    resolution: int | str = 256
+    """Size of the images in pixels, a side or rows x columns, even numbers; 84 shares the pictures
+    of the preset laptop."""
+    action_space: ActionSpace = "eef_delta"
     """What the actions mean."""
     instruction: Annotated[str | None, tyro.conf.arg(metavar="STR"), default("the task")] = None
     """The task in words, for policies that read."""
@@ -145,7 +147,5 @@ class LerobotConfig:
 
     def __post_init__(self) -> None:
         check_types(self)
-        check_least(self, 16, "resolution")
-        check_most(self, MOST_PIXELS, "resolution")
-        if self.resolution % 2:
+        if any(side % 2 for side in sides(self.resolution)):
             raise ConfigError(f"resolution must be even for video, got {self.resolution}.")

@@ -26,7 +26,7 @@ else:
 
         def __class_getitem__(cls, kind):
             names = names_of(kind)
-            metavar = _choices(names) if names else kind.__name__.upper()
+            metavar = _choices(names) if names else str(getattr(kind, "__name__", kind)).upper()
             hint = "(default: the preset's)"
             return Annotated[kind | None, tyro.conf.arg(metavar=metavar, help_behavior_hint=hint)]
 

@@ -4,6 +4,8 @@ from typing import Any, Literal, get_args, get_origin
 
 TaskName = Literal["lift", "lift_upright", "pick_place_can", "push", "roll_ball", "square"]
 """The files of `jaxcam/sim/tasks`."""
+Subject = Literal[TaskName, "recorded"]
+"""What a run learns: a task, or what a recorded dataset shows."""
 SceneName = Literal["fixed", "randomized"]
 """Whether table and room stand where they always do, or somewhere else in every episode."""
 PolicyName = Literal["act", "diffusion", "smolvla"]
@@ -12,6 +14,8 @@ Conditioning = Literal["none", "token", "early", "late", "keypoints"]
 ActionSpace = Literal[
     "eef_delta", "eef_abs", "joint_delta", "joint_abs", "eef_delta_componentwise"
 ]  # fmt: skip
+ActionChoice = Literal[ActionSpace, "native"]
+"""`native` is what a recorded dataset's actions are, whatever that is."""
 Rotations = Literal["nominal", "world"]
 CommandSource = Literal["commands", "deltas", "absolute", "states"]
 ScheduleName = Literal["constant", "cosine", "cosine_from_start"]

@@ -20,7 +20,7 @@ from jaxcam.config.fields import (
 )
 from jaxcam.config.flags import PRESET, FromPreset, default
 from jaxcam.config.names import (
-    ActionSpace,
+    ActionChoice,
     Conditioning,
     EngineChoice,
     LoggerName,
@@ -32,14 +32,13 @@ from jaxcam.config.names import (
     SceneName,
     ScheduleName,
     Stem,
-    TaskName,
+    Subject,
 )
+from jaxcam.config.sizes import sides
 from jaxcam.errors import ConfigError
 
 MOST_DEMOS = 100_000
 """Demonstrations, and cameras of one: episode seeds of more would reach those of the pairs."""
-MOST_PIXELS = 4096
-"""Side of a picture."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +48,8 @@ class TrainConfig:
     Missing demonstrations are collected first. The same command run again resumes.
     """
 
-    task: TaskName = "lift"
-    """What the robot has to do."""
+    task: Subject = "lift"
+    """What the robot has to do; recorded is what the --dataset shows, where that is a folder."""
     scene: SceneName = "randomized"
     """Whether robot and table stand still or move from episode to episode."""
     policy: PolicyName = "act"
@@ -59,8 +58,10 @@ class TrainConfig:
     """Where unset values come from; auto is paper on an accelerator and laptop without one."""
     conditioning: FromPreset[Conditioning] = PRESET
     """How the policy is told where its cameras are."""
-    action_space: ActionSpace = "eef_delta"
-    """What the policy's actions mean."""
+    action_space: Annotated[
+        FromPreset[ActionChoice], default("eef_delta, or a recorded dataset's own")
+    ] = PRESET
+    """What the policy's actions mean; native is whatever a recorded dataset's do."""
     rotations: Rotations = "nominal"
     """What the rotation vectors of eef_abs are counted from: a grip that points down, where they
     are small, or the world's axes, as until version 0.1.0, where they jump."""
@@ -102,8 +103,11 @@ class TrainConfig:
     """The decay rises to --ema as 1 - update^-power; 0 starts with --ema itself."""
     precision: FromPreset[Precision] = PRESET
     """Arithmetic of the networks; weights and rays are always float32."""
-    resolution: FromPreset[int] = PRESET
-    """Image side in pixels."""
+    resolution: Annotated[FromPreset[int | str], tyro.conf.arg(metavar="SIDE|ROWSxCOLUMNS")] = (
+        PRESET
+    )
+    """Size of the images in pixels, such as 84 or 96x128. Of recorded pictures, one number is the
+    shorter side; the longer one keeps their shape."""
     crop_min: FromPreset[float] = PRESET
     """Smallest side of a random crop as a share of the image; 1 is off."""
     model: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ..."), default("none")] = ()
@@ -139,7 +143,16 @@ class TrainConfig:
     data_dir: str = "data"
     """Folder of the datasets."""
     dataset: Annotated[str, default("collected")] = ""
-    """Dataset file to train on, for example an imported one; it brings demos, validation, n, m."""
+    """What to train on: a file, for example an imported one, or the folder of a recorded dataset
+    (LeRobot's or DROID's). It brings demos, validation, n, m."""
+    cameras: Annotated[str, default("the dataset's own")] = ""
+    """JSON file that says where the cameras of a recorded dataset stood."""
+    grip: Annotated[str, default("by its names")] = ""
+    """Where a recorded dataset's state has the grip's position, such as observation.state[0:3]."""
+    hold_out_view: Annotated[tuple[str, ...], default("none")] = ()
+    """Views of a recorded dataset that training does not see, to be judged on."""
+    hold_out_episodes: Annotated[tuple[int, ...], default("--validation of them")] = ()
+    """Numbers of a recorded dataset's episodes that training does not see."""
     run_dir: Annotated[FromPreset[str], default("runs/TASK-SCENE-POLICY-...-SEED")] = PRESET
     """Folder of the run."""
     log_every: FromPreset[int] = PRESET
@@ -166,18 +179,18 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         check_types(self)
-        check_rotation_form(self.action_space, self.rotations)
+        check_rotation_form(vars(self)["action_space"] or "eef_delta", self.rotations)
         check_least(self, 1, "views steps batch n demos pairs keep log_every eval_every")
         check_least(self, 1, "save_every steps_per_call accumulate")
         check_least(self, 0, "warmup weight_decay m validation ema ema_power clip_norm")
         check_least(self, 0, "final_lr beta1 beta2 videos")
-        check_least(self, 16, "resolution")
         check_least(self, 0, "lr crop_min", or_equal=False)
         check_least(self, -1, "ensemble")
         check_most(self, 2**31 - 1, "steps log_every eval_every save_every warmup")
         check_most(self, 1_000_000, "batch accumulate keep steps_per_call pairs videos")
         check_most(self, MOST_DEMOS, "demos validation n m")
-        check_most(self, MOST_PIXELS, "resolution")
+        if vars(self)["resolution"] is not None:
+            sides(self.resolution)
         check_seeds(self.seed, *self.seeds)
         _check_shares(self)
         _check_cameras(self)

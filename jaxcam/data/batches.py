@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from jaxcam.config.sizes import size_name
 from jaxcam.data.demos import Demo, Demos
 from jaxcam.data.pictures import Pictures
 from jaxcam.data.samples import Samples, history
@@ -35,22 +36,28 @@ class Dataset:
     """Demonstrations as the arrays that batches are cut from."""
 
     pictures: Pictures = field(repr=False)
-    K: np.ndarray
-    """Intrinsics of every picture [3, 3]."""
+    K: np.ndarray = field(repr=False)
+    """Intrinsics of all cameras, in pixels of the pictures [N, 3, 3]."""
     base_from_camera: np.ndarray = field(repr=False)
-    """All cameras in the robot's base frame [N, 4, 4]."""
+    """Their poses in the robot's base frame, OpenCV axes [N, 4, 4]."""
     actions: np.ndarray = field(repr=False)
     """Actions of every demonstration, zeros past its end [D, T, A]."""
-    keyframes: np.ndarray = field(repr=False)
-    """Where the grip is when its command next changes (base frame, m), per action [D, T, 3]."""
     proprio: np.ndarray = field(repr=False)
-    """What the robot feels before each action (`World.proprio`) [D, T, P]."""
+    """What the robot feels before each action [D, T, P]."""
     windows: list[np.ndarray] = field(repr=False)
-    """Cameras that see each demonstration."""
+    """Cameras that see each demonstration [n], or each of its steps [T, n] where one moves."""
     train: int
     """Number of training demonstrations; the rest are for validation."""
     fingerprint: str
     """Hash of the demonstrations and the pictures."""
+    keyframes: np.ndarray | None = field(default=None, repr=False)
+    """Where the grip is when its command next changes (base frame, m), per action [D, T, 3]; None
+    where nobody says where the grip is."""
+    distortion: np.ndarray | None = field(default=None, repr=False)
+    """Lenses of all cameras, see `jaxcam.rays.lens.pack` [N, 9]; None where all are pinholes."""
+    ordered: bool = False
+    """Whether the cameras of a sample stand in the order of their window, as cameras do that have
+    names, or in any, as the paper's, which differ in nothing but their pose."""
 
     @property
     def lengths(self) -> np.ndarray:
@@ -60,17 +67,14 @@ class Dataset:
     @property
     def samples(self) -> Samples:
         """Which of its samples a run takes."""
-        return Samples(self.pictures.layout, self.train)
+        return Samples(self.pictures.layout, self.train, self.ordered)
 
     def stats(self) -> dict[str, np.ndarray]:
         """Statistics of the training demonstrations, float32; population std as the authors'."""
         real = np.arange(self.actions.shape[1]) < self.lengths[: self.train, None]
         stats = {}
-        for name, values in (
-            ("action", self.actions[: self.train][real]),
-            ("keyframe", self.keyframes[: self.train][real]),
-            ("proprio", self.proprio[: self.train][real]),
-        ):
+        for name, of_all in self._targets({"proprio": self.proprio}).items():
+            values = of_all[: self.train][real]
             kind = np.float64 if len(values) > MANY_STEPS else values.dtype
             stats[f"{name}_mean"] = values.mean(0, dtype=kind)
             stats[f"{name}_std"] = np.maximum(values.std(0, dtype=kind), STD_FLOOR)
@@ -90,22 +94,36 @@ class Dataset:
         where = demo[:, None], np.clip(steps, 0, self.actions.shape[1] - 1)
         times = history(t, obs_steps)
         rows = self.pictures.layout.at(demo[:, None, None], times[..., None], views[:, None])
-        cameras = np.stack([self.windows[d][v] for d, v in zip(demo, views, strict=True)])
-        poses = np.broadcast_to(self.base_from_camera[cameras][:, None], (*rows.shape, 4, 4))
+        cameras = np.stack([self._cameras(*x) for x in zip(demo, times, views, strict=True)])
         observed = {
             "image": self.pictures.rgb[rows],
-            "K": np.broadcast_to(self.K, (*rows.shape, 3, 3)).astype(np.float32),
-            "base_from_camera": poses,
+            "K": self.K[cameras],
+            "base_from_camera": self.base_from_camera[cameras],
             "proprio": self.proprio[demo[:, None], times],
         }
+        if self.distortion is not None:
+            observed["distortion"] = self.distortion[cameras]
         if obs_steps == 1:
             observed = {name: values[:, 0] for name, values in observed.items()}
-        return {
-            **observed,
-            "action": np.where(is_pad[..., None], 0, self.actions[where]),
-            "keyframe": np.where(is_pad[..., None], 0, self.keyframes[where]),
-            "is_pad": is_pad,
+        targets = {
+            name: np.where(is_pad[..., None], 0, of_all[where])
+            for name, of_all in self._targets({}).items()
         }
+        return {**observed, **targets, "is_pad": is_pad}
+
+    def _cameras(self, demo: int, times: np.ndarray, views: np.ndarray) -> np.ndarray:
+        """The cameras [S, V] of views [V] of a demonstration at some times [S]."""
+        window = self.windows[demo]
+        return (
+            window[times][:, views]
+            if window.ndim == 2
+            else window[views][None].repeat(len(times), 0)
+        )
+
+    def _targets(self, others: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """What a policy predicts of all demonstrations, by name, and others beside it."""
+        keyframes = {} if self.keyframes is None else {"keyframe": self.keyframes}
+        return {"action": self.actions, **keyframes, **others}
 
     def validation(self, chunk: int, views: int, obs_steps: int = 1, per_demo: int = 16) -> Batch:
         """A fixed batch: evenly spaced steps of every validation demonstration."""
@@ -135,19 +153,20 @@ def make_dataset(
         actions.append(np.pad(moves, pad))
         keyframes.append(np.pad(_keyframes(demo, scene), pad))
         proprio.append(np.pad(state, pad))
-    pixels = pictures.rgb.shape[1]
+    cameras = invert(scene.world_from_base) @ demos.header.world_from_camera
+    height, width = pictures.rgb.shape[1:3]
+    K = intrinsics(demos.header.fovy_deg, height, width)
     return Dataset(
         pictures=pictures,
-        K=intrinsics(demos.header.fovy_deg, pixels),
-        base_from_camera=(invert(scene.world_from_base) @ demos.header.world_from_camera).astype(
-            np.float32
-        ),
+        K=np.broadcast_to(K, (len(cameras), 3, 3)).astype(np.float32),
+        base_from_camera=cameras.astype(np.float32),
         actions=np.stack(actions).astype(np.float32),
         keyframes=np.stack(keyframes).astype(np.float32),
         proprio=np.stack(proprio).astype(np.float32),
         windows=[d.cameras for d in demos.episodes],
         train=len(demos.train),
-        fingerprint=f"{demos.fingerprint}-{pixels}px-{_IN_FINGERPRINTS.get(space, space)}",
+        fingerprint=f"{demos.fingerprint}-{size_name(height, width)}px-"
+        f"{_IN_FINGERPRINTS.get(space, space)}",
     )
 
 

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
+from jaxcam.config.sizes import sides
 from jaxcam.console.progress import progress
 from jaxcam.data.caches import PICTURES_AT_ONCE, Cache, is_blank
 from jaxcam.data.cameras import require_possible
@@ -49,7 +50,7 @@ class Pictures:
 
 def load_pictures(
     demos: Demos,
-    resolution: int,
+    resolution: int | str,
     console: Console | None = None,
     wanted: np.ndarray | None = None,
 ) -> Pictures:
@@ -57,7 +58,7 @@ def load_pictures(
 
     Args:
         demos: The dataset; training demonstrations come first, validation ones after.
-        resolution: Side of the pictures (pixels).
+        resolution: Size of the pictures, see `jaxcam.config.sizes`.
         console: For progress; silent when None.
         wanted: Those that will be looked at, bool [pictures]; the others may stay empty. All when
             None.
@@ -83,18 +84,18 @@ def load_pictures(
         return _pictures(cache, demos)
 
 
-def cache_of(path: Path, demos: Demos, resolution: int) -> Cache:
+def cache_of(path: Path, demos: Demos, resolution: int | str) -> Cache:
     """Opens the cache that is complete at `path`, or is becoming so.
 
     Args:
         path: Of the complete cache.
         demos: The dataset whose pictures it holds.
-        resolution: Side of the pictures (pixels).
+        resolution: Size of the pictures.
 
     Raises:
         DatasetError: If it is not what was written.
     """
-    return Cache(path, (Layout.of(demos).total, resolution, resolution, 3))
+    return Cache(path, (Layout.of(demos).total, *sides(resolution), 3))
 
 
 def _pictures(cache: Cache, demos: Demos) -> Pictures:
@@ -105,7 +106,7 @@ def _pictures(cache: Cache, demos: Demos) -> Pictures:
 def _render(
     cache: Cache,
     demos: Demos,
-    resolution: int,
+    resolution: int | str,
     console: Console | None,
     wanted: np.ndarray | None,
 ) -> None:
@@ -135,13 +136,13 @@ def _render(
 
 
 def draw_views(
-    header: Header, resolution: int, views: Iterable[View], count: int
+    header: Header, resolution: int | str, views: Iterable[View], count: int
 ) -> Iterator[np.ndarray]:
     """Pictures of each view in order; by one process a core where one draws with one thread.
 
     Args:
         header: Of the dataset.
-        resolution: Side of the pictures, in pixels.
+        resolution: Size of the pictures.
         views: What is drawn, a group of pictures each.
         count: Groups there are.
 
@@ -173,12 +174,12 @@ def draw_views(
 
 
 @functools.cache
-def _renderer(task_name: str, scene_name: str, resolution: int) -> Painter:
+def _renderer(task_name: str, scene_name: str, resolution: int | str) -> Painter:
     task = make_task(task_name)
-    return make_painter(task.scene(scene_name), resolution, varied=task.varied)
+    return make_painter(task.scene(scene_name), *sides(resolution), varied=task.varied)
 
 
-def _draw_view(task: str, scene: str, resolution: int, view: View) -> np.ndarray:
+def _draw_view(task: str, scene: str, resolution: int | str, view: View) -> np.ndarray:
     """Pictures of a view; if some are blank, by another renderer, once."""
     for _ in range(2):
         pictures = _renderer(task, scene, resolution).rgb(view)
@@ -197,13 +198,15 @@ def _scene(header: Header) -> World:
     return make_task(header.task).scene(header.scene)
 
 
-def views_of(demo: Demo, demos: Demos, resolution: int, which: np.ndarray | None = None) -> View:
+def views_of(
+    demo: Demo, demos: Demos, resolution: int | str, which: np.ndarray | None = None
+) -> View:
     """What a demonstration's pictures show, by time, then camera; of all, or of those named."""
     cameras = len(demo.cameras)
     which = np.arange(demo.length * cameras) if which is None else which
     t, camera = np.divmod(which, cameras)
     count = len(which)
-    K = intrinsics(demos.header.fovy_deg, resolution)
+    K = intrinsics(demos.header.fovy_deg, *sides(resolution))
     return View(
         qpos=demo.qpos[t],
         geom_size=np.broadcast_to(demo.geom_size, (count, *demo.geom_size.shape)),

@@ -61,6 +61,8 @@ class Samples:
     layout: Layout
     train: int
     """Number of training demonstrations; the rest are for validation."""
+    ordered: bool = False
+    """Whether the cameras of a sample stand in the order of their window."""
 
     def index(self, seed: int, step: int, batch: int, views: int) -> Sample:
         """The samples of one update: demonstrations, time steps and cameras.
@@ -86,7 +88,7 @@ class Samples:
                 for r, d in zip(draws, order, strict=True)
             ]
         )
-        return order, t, cameras
+        return order, t, np.sort(cameras, 1) if self.ordered else cameras
 
     def validation(self, views: int, per_demo: int = 16) -> Sample:
         """Evenly spaced steps of every validation demonstration."""

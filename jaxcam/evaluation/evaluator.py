@@ -11,6 +11,7 @@ import numpy as np
 from jax.sharding import Mesh
 from jax.tree_util import Partial
 
+from jaxcam.config.sizes import sides
 from jaxcam.config.train import TrainConfig
 from jaxcam.data.pairs import Pairs, make_pairs
 from jaxcam.devices import copied, data_mesh, spread
@@ -80,7 +81,7 @@ class Evaluator:
         varied = self.task.varied
         controller = controller_of(config.action_space)
         self.engine = make_engine(self.engine_name, self.scene, controller, varied)
-        self.renderer = make_painter(self.scene, config.resolution, varied=varied)
+        self.renderer = make_painter(self.scene, *sides(config.resolution), varied=varied)
 
     def run(
         self,
@@ -104,7 +105,7 @@ class Evaluator:
         # Always worlds for `width`: neither policy nor compiled physics sees another size.
         filled = [*pairs, *[pairs[-1]] * (self.width - len(pairs))]
         chosen = self.pairs(split, filled)
-        K = intrinsics(self.task.fovy_deg, config.resolution)
+        K = intrinsics(self.task.fovy_deg, *sides(config.resolution))
         ahead = spec.chunk - spec.obs_steps + 1  # steps that a chunk reaches into the future
         agent = Agent(
             self._acting(candidate.policy, candidate.params),
@@ -196,10 +197,10 @@ class Evaluator:
     def sight(self, split: str, pair: int) -> tuple[np.ndarray, np.ndarray]:
         """What a policy sees at a pair's start: picture uint8 [H, W, 3] and ray-map [H, W, 6]."""
         _, cameras, start = self.pairs(split, [pair])
-        K = intrinsics(self.task.fovy_deg, self.config.resolution)[None]
+        size = sides(self.config.resolution)
+        K = intrinsics(self.task.fovy_deg, *size)[None]
         view = View(start.qpos, start.geom_size, start.fixtures, K, cameras[:, 0])
-        size = self.config.resolution
-        camera = Camera(K[0], cameras[0, 0], size, size)
+        camera = Camera(K[0], cameras[0, 0], *size)
         rays = camera.in_frame(np.linalg.inv(self.scene.world_from_base)).plucker()
         return self.renderer.rgb(view)[0], np.asarray(rays)
 

@@ -12,7 +12,7 @@ from rich.console import Console
 from jaxcam.config.commands import EvaluateConfig
 from jaxcam.config.train import TrainConfig
 from jaxcam.devices import gathered, is_first, joined
-from jaxcam.errors import CheckpointError, JaxcamError
+from jaxcam.errors import CheckpointError, ConfigError, JaxcamError
 from jaxcam.evaluation.checkpoint import Wanted, evaluate, rows_of
 from jaxcam.evaluation.evaluator import Candidate, Evaluator
 from jaxcam.files.paths import absolute
@@ -20,6 +20,7 @@ from jaxcam.reports.run_figures import write_plots
 from jaxcam.reports.run_page import write_report
 from jaxcam.results.protocol import missing, protocol_of
 from jaxcam.results.stats import latest_rows, success_rate
+from jaxcam.runs.identity import RECORDED
 from jaxcam.runs.metrics import read_metrics
 from jaxcam.runs.rollouts import read_run_rows
 from jaxcam.training.checkpoint import checkpoint_steps, load_policy_inputs, rebuild_policy
@@ -37,6 +38,11 @@ def evaluate_run(config: EvaluateConfig, folder: Path, console: Console | None) 
         CheckpointError: A checkpoint that is asked for is damaged or missing; the others are done.
     """
     inputs = load_policy_inputs(folder, config.step)
+    if inputs.config.task == RECORDED:
+        raise ConfigError(
+            f"{folder} learned from recorded episodes, and there is no simulator of those. The "
+            f"errors of its actions are in {folder / 'report.html'}."
+        )
     steps, lacking = [inputs.step], []
     if config.protocol == "paper":
         steps, lacking = steps_to_judge(folder, inputs.config)

@@ -47,7 +47,10 @@ def grid_rays(
     convention = "jaxcam"
     if authors:
         poses, convention = opengl_from_opencv(poses), "authors"
-    rays = plucker(obs["K"] * scale, poses, height, width, convention=convention)
+    rays = plucker(
+        obs["K"] * scale, poses, height, width, convention=convention,
+        distortion=obs.get("distortion"),
+    )  # fmt: skip
     return rays.reshape(-1, height, width, 6)
 
 

@@ -18,11 +18,16 @@ Params: TypeAlias = dict[str, Any]
 
 Obs: TypeAlias = Mapping[str, jax.Array]
 """``image`` uint8 or float32 in 0 to 255 [B, V, H, W, 3], ``K`` [B, V, 3, 3] in pixels of it,
-``base_from_camera`` [B, V, 4, 4] with OpenCV axes, ``proprio`` [B, P]."""
+``base_from_camera`` [B, V, 4, 4] with OpenCV axes, ``proprio`` [B, P] and, where lenses are no
+pinholes, ``distortion`` [B, V, 9] (`jaxcam.rays.lens.pack`)."""
+
+CAMERA_INPUTS = ("image", "K", "base_from_camera", "distortion")
+"""What an observation says of each view; `distortion` is missing where all are pinholes."""
 
 Batch: TypeAlias = Mapping[str, Any]
 """Arrays of NumPy or JAX by name: an observation with ``action`` float32 [B, T, A] in raw units,
-``keyframe`` float32 [B, T, 3] (base frame, metres) and ``is_pad`` bool [B, T]."""
+``keyframe`` float32 [B, T, 3] (base frame, metres), where the data has it, and ``is_pad`` bool
+[B, T]."""
 
 Stats: TypeAlias = Mapping[str, np.ndarray]
 """``action``, ``proprio`` and ``keyframe`` with ``_mean``, ``_std``, ``_min`` and ``_max`` each, of

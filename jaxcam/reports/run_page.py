@@ -9,6 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from jaxcam.config.sizes import sides
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
 from jaxcam.files.paths import read_text
@@ -16,9 +17,11 @@ from jaxcam.files.whole import write_atomically
 from jaxcam.reports import paper
 from jaxcam.reports.arms import training_seconds
 from jaxcam.reports.html import Embedded, embedded, own_files, render
+from jaxcam.results.actions import ActionErrors
 from jaxcam.results.rows import Row
 from jaxcam.results.stats import Estimate, by_field, latest_rows, success_rate
-from jaxcam.runs.identity import differences, plain, read_config, resolve
+from jaxcam.runs.action_errors import read_errors
+from jaxcam.runs.identity import RECORDED, differences, plain, read_config, resolve
 from jaxcam.runs.metrics import MetricsRow, read_metrics
 from jaxcam.runs.rollouts import read_run_rows
 
@@ -28,6 +31,9 @@ _PLOTS = {
     "validation demonstrations.",
     "success": "Success over training; the band is the 95 % interval over pairs.",
     "cameras": "Camera poses of the demonstrations and of the evaluation.",
+    "errors_by_horizon": "Errors of actions on what training did not see, by step of a chunk. At 1 "
+    "they are as large as the actions' own deviation: that of always giving the mean action or so.",
+    "errors_by_number": "The same by what is commanded, each in its own deviation.",
     "rays": "What the policy is told about its camera: a direction and a moment for each pixel.",
 }
 _WIDE = ("success_map", "cameras", "rays")
@@ -59,9 +65,10 @@ def write_report(run_dir: str | Path) -> Path:
     shown = [row for row in rows if row.step == newest]
     content = render(
         "run.html",
-        f"{paper.policy_title(config.policy, short=False)} on {config.task}, {config.scene} scene",
+        f"{paper.policy_title(config.policy, short=False)} on {_subject(config)}",
         f"Conditioning: {config.conditioning}. Preset: {config.preset}. Seed: {config.seed}.",
-        estimate=success_rate(shown),
+        estimate=None if config.task == RECORDED else success_rate(shown),
+        errors=_errors(read_errors(run)),
         facts=_facts(config, metrics, shown, newest),
         plots=_figures(run / "plots"),
         videos=_videos(run),
@@ -104,12 +111,12 @@ def _facts(
     trained = int(max((row.get("step", 0) for row in metrics), default=0))
     lengths = [row.steps or 0 for row in rows if row.finished and row.success]
     facts = {
-        "Task": config.task,
-        "Scene": config.scene,
+        "Learned from": _subject(config),
         "Policy": config.policy,
         "Conditioning": config.conditioning,
         "Views": config.views,
         "Action space": config.action_space,
+        "Pictures": f"{' × '.join(map(str, sides(config.resolution)))} pixels",
         "Demonstrations": config.demos,
         "Training steps": f"{trained:,} of {config.steps:,}",
     }
@@ -120,6 +127,27 @@ def _facts(
     if lengths:
         facts["Steps to success"] = f"{sum(lengths) / len(lengths):.0f} on average"
     return facts
+
+
+def _subject(config: TrainConfig) -> str:
+    """What a run learned, in words."""
+    if config.task == RECORDED:
+        return f"the recorded dataset {Path(config.dataset).name}"
+    return f"{config.task}, {config.scene} scene"
+
+
+def _errors(rows: Sequence[ActionErrors]) -> list[tuple[str, str, str, int]]:
+    """A line for each group of the newest checkpoint: who, poses, error, episodes."""
+    newest = max((row.step for row in rows), default=0)
+    lines = []
+    for row in rows:
+        if row.step == newest:
+            value, low, high = row.mean()
+            span = f" [{low:.2f}, {high:.2f}]" if low == low else ""
+            off = f"off by {row.rotation_deg:g}° and {100 * row.translation:g} cm"
+            poses = off if row.rotation_deg or row.translation else "as calibrated"
+            lines.append((row.group, poses, f"{value:.2f}{span}", len(row.errors)))
+    return lines
 
 
 def _figures(folder: Path) -> list[Embedded]:
@@ -178,7 +206,8 @@ def _checkpoints(rows: Sequence[Row]) -> list[tuple[str, Estimate]]:
 def _commands(run_dir: str | Path, config: TrainConfig) -> list[list[str]]:
     """How to train and evaluate again, word by word; evaluating writes this page anew."""
     evaluate = ["python", "-m", "jaxcam.evaluate", str(run_dir), "--pairs", "200"]
-    lines = (shlex.split(reproduce_command(config)), evaluate)
+    train = shlex.split(reproduce_command(config))
+    lines = (train,) if config.task == RECORDED else (train, evaluate)
     return [[shlex.quote(word) for word in line] for line in lines]
 
 

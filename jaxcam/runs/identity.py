@@ -30,13 +30,17 @@ Settings = dict[str, Any]
 
 # Settings that leave every update of a run as it was; all others are part of a run's identity.
 FREE_TO_CHANGE = frozenset({
-    "pairs", "engine", "ensemble", "data_dir", "dataset", "run_dir", "log_every", "eval_every",
-    "save_every", "keep", "videos", "seeds", "log", "distributed",
+    "pairs", "engine", "ensemble", "data_dir", "dataset", "cameras", "run_dir", "log_every",
+    "eval_every", "save_every", "keep", "videos", "seeds", "log", "distributed",
 })  # fmt: skip
 # Of the settings that leave training as it was, these say what was trained on and how the
 # policy was run; seeds and how updates are computed differ between runs compared as one.
 _OWN = {"seed", "steps_per_call", "accumulate"}
-_NO_IDENTITY = (FREE_TO_CHANGE | _OWN) - {"dataset", "engine", "ensemble"}
+_NO_IDENTITY = (FREE_TO_CHANGE | _OWN) - {"dataset", "cameras", "engine", "ensemble"}
+RECORDED = "recorded"
+"""The task of a run that learns from a recorded dataset."""
+USUAL_SPACE = "eef_delta"
+"""Of actions in the tasks."""
 MOST_LETTERS = 180
 """Of a run's name; file systems take 255 bytes, and its log and its job have endings."""
 _NAMED = ("task", "scene", "policy", "preset", "conditioning")
@@ -58,10 +62,9 @@ def resolve(config: TrainConfig, *, accelerator: bool) -> TrainConfig:
     """
     if None not in vars(config).values():
         return config
-    task, (name, preset) = make_task(config.task), _preset(config, accelerator)
-    n, m = task.stair
+    name, preset = policy_preset(config, accelerator)
     values = {k: v for k, v in vars(preset).items() if k not in ("warmup", "steps_per_call")}
-    config = fill(replace(config, preset=name), views=task.views, n=n, m=m, **values)
+    config = fill(replace(config, preset=name), **_of_subject(config.task), **values)
     # XLA's CPU loops run convolutions many times slower.
     at_most = preset.steps_per_call if accelerator else 1
     config = fill(
@@ -72,8 +75,25 @@ def resolve(config: TrainConfig, *, accelerator: bool) -> TrainConfig:
     return fill(config, run_dir=default_folder(config))
 
 
-def _preset(config: TrainConfig, accelerator: bool) -> tuple[str, Preset]:
-    """Name and values of the preset that a config means."""
+def _of_subject(task: str) -> Settings:
+    """What a task gives to the settings that are left open; recorded data has said it before."""
+    if task == RECORDED:
+        return {"views": 1, "n": 1, "m": 0, "action_space": "native"}
+    task_itself = make_task(task)
+    n, m = task_itself.stair
+    return {"views": task_itself.views, "n": n, "m": m, "action_space": USUAL_SPACE}
+
+
+def policy_preset(config: TrainConfig, accelerator: bool) -> tuple[str, Preset]:
+    """Name and values of the preset that a config means.
+
+    Args:
+        config: Settings.
+        accelerator: Whether there is a GPU or TPU.
+
+    Raises:
+        ConfigError: The policy has no such preset.
+    """
     name = config.preset
     if name == "auto":
         name = "paper" if accelerator else "laptop"
@@ -136,13 +156,14 @@ def default_folder(config: TrainConfig) -> str:
     Args:
         config: Settings; all but `run_dir` have values.
     """
-    task = make_task(config.task)
-    parts = [getattr(config, name) for name in _NAMED]
-    if config.action_space != TrainConfig.action_space:
+    usual = _of_subject(config.task)
+    names = ("task", "policy", "preset", "conditioning") if config.task == RECORDED else _NAMED
+    parts = [getattr(config, name) for name in names]
+    if config.action_space != usual["action_space"]:
         parts.append(config.action_space)
-    if (config.n, config.m) != task.stair:
+    if (config.n, config.m) != (usual["n"], usual["m"]) and config.task != RECORDED:
         parts.append(f"n{config.n}m{config.m}")
-    if config.views != task.views:
+    if config.views != usual["views"]:
         parts.append(f"{config.views}views")
     parts += [Path(file).stem for file in (config.weights, config.dataset) if file]
     return "runs/" + "-".join([*parts, str(config.seed)])
@@ -167,7 +188,7 @@ def full_name(config: TrainConfig, *, files: bool = True) -> str:
 
 def _paths(config: TrainConfig) -> list[str]:
     """The files that a run reads where they are not the usual: words tell only their names."""
-    names = ("data_dir", "dataset", "weights")
+    names = ("data_dir", "dataset", "cameras", "weights")
     paths = {k: os.path.normpath(getattr(config, k)) for k in names if getattr(config, k)}
     return [f"{k}={v}" for k, v in paths.items() if v != getattr(TrainConfig, k)]
 
@@ -188,6 +209,7 @@ def identity(config: TrainConfig) -> Settings:
     if config.action_space != "eef_abs":
         del values["rotations"]  # they are none of its actions'
     values["dataset"] = Path(config.dataset).stem
+    values["cameras"] = Path(config.cameras).stem
     values["weights"] = Path(config.weights).stem
     return values
 

@@ -54,7 +54,7 @@ def dataset():
 
     return Dataset(
         pictures=Pictures(pictures, layout, np.ones(layout.total, bool)),
-        K=np.diag([20.0, 20, 1]).astype(np.float32),
+        K=np.tile(np.diag([20.0, 20, 1]).astype(np.float32), (len(poses), 1, 1)),
         base_from_camera=poses,
         actions=values(SPEC.action_dim),
         keyframes=values(3),

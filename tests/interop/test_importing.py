@@ -10,7 +10,7 @@ from robomimic_files import EPISODES, imported, of_many, recorded, write
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import DatasetError
 from jaxcam.interop.importing import Masks, held_back
-from jaxcam.pipeline import like_its_dataset, training_data
+from jaxcam.pipeline.sources import source_of
 from jaxcam.runs.identity import resolve
 
 MASKS = {
@@ -103,11 +103,13 @@ def test_training_without_validation_says_so(tmp_path, monkeypatch, validation):
     def stop(*_):
         raise DrawnError
 
-    monkeypatch.setattr("jaxcam.pipeline.load_pictures", stop)
+    monkeypatch.setattr("jaxcam.pipeline.simulated.load_pictures", stop)
     path = imported(of_many(tmp_path / "few.hdf5", 2, {}), validation=validation).path
-    config = like_its_dataset(TrainConfig(dataset=str(path), resolution=16))
+    config = TrainConfig(dataset=str(path), resolution=16)
+    source = source_of(config)
+    config = source.complete(config)
     console = Console(file=io.StringIO(), width=300)
     with pytest.raises(DrawnError):
-        training_data([resolve(config, accelerator=False)], console)
+        source.dataset([resolve(config, accelerator=False)], console)
     said = console.file.getvalue()
     assert (f"{path}: No validation demonstrations" in said) == (validation == 0)

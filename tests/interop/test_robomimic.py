@@ -21,7 +21,8 @@ from jaxcam.data.samples import Layout
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.interop.robomimic import import_demos, success_of
 from jaxcam.interop.robosuite_model import read_origin
-from jaxcam.pipeline import like_its_dataset, train, training_data
+from jaxcam.pipeline.sources import source_of
+from jaxcam.pipeline.train import train
 from jaxcam.rays.rotations import matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.runs.identity import resolve
 from jaxcam.sim.actions import encode
@@ -275,13 +276,14 @@ def test_delta_actions_of_an_imported_demonstration_are_small(files):
 def test_training_takes_a_dataset_and_its_numbers(tmp_path, files, monkeypatch):
     demos = imported(files["1.5"], validation=1, n=2, m=2)
     config = TrainConfig(dataset=str(demos.path), resolution=16, run_dir=str(tmp_path / "run"))
-    like = like_its_dataset(config)
+    source = source_of(config)
+    like = source.complete(config)
     assert (like.demos, like.validation, like.n, like.m) == (1, 1, 2, 2)
     layout = Layout.of(demos)
     total = layout.total
     black = Pictures(np.zeros((total, 16, 16, 3), np.uint8), layout, np.ones(total, bool))
-    monkeypatch.setattr("jaxcam.pipeline.load_pictures", lambda *_: black)
-    data = training_data([resolve(like, accelerator=False)], None)
+    monkeypatch.setattr("jaxcam.pipeline.simulated.load_pictures", lambda *_: black)
+    data = source.dataset([resolve(like, accelerator=False)], None)
     assert data.lengths.tolist() == [d.length for d in demos.episodes]
     assert [len(w) for w in data.windows] == [2, 1]
     assert demos.fingerprint in data.fingerprint

@@ -12,7 +12,7 @@ from tiny_training import fit, settings
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
 from jaxcam.files.jsonl import read_jsonl
-from jaxcam.pipeline import train
+from jaxcam.pipeline.train import train
 from jaxcam.training.checkpoint import checkpoint_steps
 from jaxcam.training.loggers import Loggers, check_loggers
 

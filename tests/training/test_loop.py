@@ -21,7 +21,7 @@ from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, DivergedError
 from jaxcam.files.jsonl import read_jsonl
 from jaxcam.interrupts import Interrupt
-from jaxcam.pipeline import each_seed
+from jaxcam.pipeline.train import each_seed
 from jaxcam.runs.folder import RunDir
 from jaxcam.training.checkpoint import checkpoint_steps
 from jaxcam.training.digests import read_all

@@ -105,9 +105,9 @@ def _about(config: LerobotConfig, demos: Demos, data: Dataset, scene: World) -> 
         "task": header.task,
         "scene": header.scene,
         "action_space": config.action_space,
-        "intrinsics": data.K.tolist(),
+        "intrinsics": data.K[0].tolist(),
         "fovy_deg": header.fovy_deg,
-        "image_size": [config.resolution, config.resolution],
+        "image_size": list(data.pictures.rgb.shape[1:3]),
         "world_from_base": scene.world_from_base.tolist(),
         "nominal_grip": scene.nominal_grip.tolist(),
         "conventions": {
@@ -145,8 +145,9 @@ def _features(config: LerobotConfig, data: Dataset, views: list[str]) -> dict[st
         "observation.state": feature("float32", data.proprio.shape[-1:], state),
         "action": feature("float32", data.actions.shape[-1:], action),
     }
+    height, width = data.pictures.rgb.shape[1:3]
     for view in views:
-        features[f"observation.images.{view}"] = video_feature(config.resolution, CONTROL_HZ)
+        features[f"observation.images.{view}"] = video_feature(height, width, CONTROL_HZ)
         features[f"camera.{view}.base_from_camera"] = feature("float32", (4, 4))
         features[f"camera.{view}.intrinsics"] = feature("float32", (3, 3))
     return features
@@ -157,7 +158,7 @@ def _rows(data: Dataset, demo: int, views: list[str]) -> dict[str, np.ndarray]:
     length = int(data.lengths[demo])
     rows = {"observation.state": data.proprio[demo, :length], "action": data.actions[demo, :length]}
     for view, camera in zip(views, data.windows[demo], strict=True):
-        pose, K = data.base_from_camera[camera], data.K.astype(np.float32)
+        pose, K = data.base_from_camera[camera], data.K[camera]
         rows[f"camera.{view}.base_from_camera"] = np.broadcast_to(pose, (length, 4, 4))
         rows[f"camera.{view}.intrinsics"] = np.broadcast_to(K, (length, 3, 3))
     return rows

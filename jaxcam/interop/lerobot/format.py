@@ -46,11 +46,11 @@ def feature(dtype: str, shape: tuple[int, ...], names: list[str] | None = None) 
     return {"dtype": dtype, "shape": list(shape), "names": names}
 
 
-def video_feature(side: int, fps: int) -> dict[str, Any]:
-    """LeRobot's description of a square video."""
+def video_feature(height: int, width: int, fps: int) -> dict[str, Any]:
+    """LeRobot's description of a video."""
     info = {
-        "video.height": side,
-        "video.width": side,
+        "video.height": height,
+        "video.width": width,
         "video.codec": "h264",
         "video.pix_fmt": "yuv420p",
         "video.is_depth_map": False,
@@ -58,7 +58,7 @@ def video_feature(side: int, fps: int) -> dict[str, Any]:
         "video.channels": 3,
         "has_audio": False,
     }
-    return {**feature("video", (side, side, 3), ["height", "width", "channels"]), "info": info}
+    return {**feature("video", (height, width, 3), ["height", "width", "channels"]), "info": info}
 
 
 def write_meta(path: Path, content: Any) -> None:

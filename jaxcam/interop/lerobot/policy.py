@@ -15,6 +15,7 @@ import jax
 import numpy as np
 
 from jaxcam.config.fields import check_types
+from jaxcam.config.sizes import size_name
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import CheckpointError, ConfigError
 from jaxcam.files.whole import whole
@@ -335,7 +336,8 @@ def adopt(folder: Path, config: TrainConfig) -> list[str]:
     foreign = read_foreign(folder, config)
     spec, weights = foreign.spec, foreign.weights
     named = {"policy": foreign.policy, "preset": "lerobot", "conditioning": "none"}
-    sizes = {"views": spec.views, "resolution": spec.height, "ensemble": foreign.ensemble}
+    size = size_name(spec.height, spec.width)
+    sizes = {"views": spec.views, "resolution": size, "ensemble": foreign.ensemble}
     config = resolve(
         replace(config, **named, **sizes, weights=str(weights.path)), accelerator=False
     )
@@ -380,11 +382,6 @@ def _check_fit(folder: Path, config: TrainConfig, spec: PolicySpec) -> None:
                 f"{folder} has {what} {size}, but {config.task} in {config.action_space} has "
                 f"{wanted}."
             )
-    if spec.height != spec.width:
-        raise CheckpointError(
-            f"{folder} takes images of {spec.height} rows and {spec.width} columns; ours are "
-            "square."
-        )
     about = read_about(folder)
     for name in ("action_space", "rotations"):
         given, wanted = getattr(about, name), getattr(config, name)

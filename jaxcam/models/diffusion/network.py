@@ -13,7 +13,7 @@ from jaxcam.models.diffusion.unet import UNet, UNetConfig
 from jaxcam.models.fusion import Vision, camera_poses
 from jaxcam.models.layers import linear
 from jaxcam.models.losses import padded_mean
-from jaxcam.models.policy import Obs, PolicySpec
+from jaxcam.models.policy import CAMERA_INPUTS, Obs, PolicySpec
 
 POSE_FEATURES = 64
 """Numbers that a camera pose becomes, when the conditioning is token."""
@@ -60,8 +60,7 @@ class Diffusion(nnx.Module):
             local one [B, L].
         """
         batch, steps = proprio.shape[:2]
-        names = ("image", "K", "base_from_camera")
-        flat = {k: obs[k].reshape(-1, *obs[k].shape[2:]) for k in names}
+        flat = {k: obs[k].reshape(-1, *obs[k].shape[2:]) for k in CAMERA_INPUTS if k in obs}
         parts = [self._views(flat)]
         if not self.config.local_proprio:
             parts.insert(0, proprio.reshape(batch * steps, -1))

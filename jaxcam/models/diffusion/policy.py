@@ -11,6 +11,7 @@ from jaxcam.models.diffusion.network import Diffusion
 from jaxcam.models.losses import padded_mean, repeat_ends
 from jaxcam.models.normalization import action_range, keyframe_deviation, proprio_range
 from jaxcam.models.policy import (
+    CAMERA_INPUTS,
     Batch,
     Family,
     Key,
@@ -37,8 +38,8 @@ def make_diffusion(config: DiffusionConfig, spec: PolicySpec, stats: Stats) -> P
     chunk = (config.chunk, spec.action_dim)
 
     def condition(net: Diffusion, obs: Obs, key: Key) -> tuple[jax.Array, jax.Array]:
-        names = ("image", "K", "base_from_camera", "proprio")
-        steps = {k: jnp.asarray(obs[k]) for k in names}
+        names = (*CAMERA_INPUTS, "proprio")
+        steps = {k: jnp.asarray(obs[k]) for k in names if k in obs}
         if config.obs_steps == 1:
             steps = {k: v[:, None] for k, v in steps.items()}
         if config.crop:

@@ -7,7 +7,8 @@ from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
 from jaxcam.models.smolvla.config import SmolVlaConfig
 from jaxcam.models.smolvla.prompt import tokenize, with_prompt
-from jaxcam.pipeline import policy_of
+from jaxcam.pipeline.sources import source_of
+from jaxcam.pipeline.train import policy_of
 from jaxcam.runs.identity import resolve
 from jaxcam.sim import make_task
 
@@ -36,7 +37,7 @@ def test_training_on_any_task_reads_that_tasks_prompt(tokenizer, task):
     made, file = tokenizer
     changes = ("tokens=()", f"tokenizer={file}", f"vocabulary={made.get_vocab_size()}")
     run = TrainConfig(task=task, policy="smolvla", preset="tiny", model=changes)
-    settings = policy_of(resolve(run, accelerator=False)).config
+    settings = policy_of(source_of(run), resolve(run, accelerator=False)).config
     made.no_padding()
     assert settings.prompt == make_task(task).prompt
     assert settings.tokens == tuple(made.encode(settings.prompt + "\n").ids)

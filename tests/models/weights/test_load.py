@@ -15,7 +15,8 @@ from stored_weights import act, resnet, tiny_smolvla, weights_of
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import CheckpointError, ConfigError
 from jaxcam.models.weights.load import load, read_weights, record_weights, show_weights
-from jaxcam.pipeline import starting_weights, train
+from jaxcam.pipeline.sources import source_of
+from jaxcam.pipeline.train import starting_weights, train
 from jaxcam.runs.identity import resolve
 
 FILES = GOLDEN
@@ -132,9 +133,9 @@ def test_weights_that_fit_are_recorded_and_only_read_for_a_new_run(tmp_path):
     config = resolve(config, accelerator=False)
     assert "-resnet-" in config.run_dir
     config = replace(config, run_dir=str(tmp_path))
-    weights = starting_weights([config])
+    weights = starting_weights(source_of(config), [config])
     record_weights(tmp_path, weights)
     record = json.loads((tmp_path / "weights.json").read_text())
     assert record == {"file": str(file), "kind": weights.kind.title, "sha256": weights.sha256}
     (tmp_path / "checkpoints/1").mkdir(parents=True)
-    assert starting_weights([config]) is None
+    assert starting_weights(source_of(config), [config]) is None

@@ -17,7 +17,7 @@ from jaxcam.errors import ConfigError
 from jaxcam.files.jsonl import read_jsonl
 from jaxcam.interrupts import Interrupt
 from jaxcam.models import PolicySpec, make_policy, policy_settings
-from jaxcam.pipeline import train
+from jaxcam.pipeline.train import train
 from jaxcam.runs.folder import RunDir
 from jaxcam.runs.identity import resolve
 from jaxcam.training.checkpoint import load_policy_inputs, rebuild_policy

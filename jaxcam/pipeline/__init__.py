@@ -1,0 +1,1 @@
+"""`python -m jaxcam.train` in one go, from demonstrations of either kind to the report."""

@@ -1,0 +1,242 @@
+"""Demonstrations that somebody recorded: read, decoded, and judged on what training did not see."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from rich.console import Console
+
+from jaxcam.config.sizes import sides, size_name
+from jaxcam.config.train import TrainConfig
+from jaxcam.data.batches import Dataset
+from jaxcam.data.fitting import keeping_shape
+from jaxcam.data.recorded import HeldOut, Meaning, Parts, make_recorded, parts_of
+from jaxcam.data.recorded_pictures import load_recorded_pictures
+from jaxcam.data.recordings import Recording
+from jaxcam.data.samples import Samples
+from jaxcam.data.splits import NO_VALIDATION
+from jaxcam.devices import has_accelerator, is_first, own
+from jaxcam.errors import ConfigError
+from jaxcam.evaluation.recorded import action_errors
+from jaxcam.files.jsonl import append_jsonl
+from jaxcam.files.paths import absolute
+from jaxcam.interop.recordings import read_recording
+from jaxcam.models import Policy, PolicySpec, policy_settings
+from jaxcam.reports.action_figures import write_action_figures
+from jaxcam.reports.run_page import write_report
+from jaxcam.results.actions import ActionErrors
+from jaxcam.runs.action_errors import errors_file, read_errors
+from jaxcam.runs.folder import RunDir
+from jaxcam.runs.identity import RECORDED, policy_preset
+from jaxcam.runs.metrics import read_metrics
+from jaxcam.training.state import TrainState
+
+_GRIP = re.compile(
+    r"^(?:.*[._ ])?(?:grip|gripper|eef|ee|tcp|hand|end_effector)[._ ]?(?:pos(?:ition)?)?[._ ]?"
+    r"([xyz])$"
+)
+"""Names of the numbers that say where the grip is."""
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """The demonstrations of a recorded dataset.
+
+    Attributes:
+        recording: The dataset, with where its cameras stood.
+    """
+
+    recording: Recording = field(repr=False)
+
+    @classmethod
+    def open(cls, config: TrainConfig) -> "Recorded":
+        """Reads the folder that the settings name; pictures are left where they are.
+
+        Raises:
+            DatasetError: It is in no format that is known, or damaged.
+            CameraError: A calibration is impossible.
+        """
+        cameras = absolute(config.cameras) if config.cameras else None
+        return cls(read_recording(absolute(config.dataset), cameras))
+
+    @property
+    def prompt(self) -> str:
+        """What is asked in its first episode, in words."""
+        return self.recording.episodes[0].instruction or "Do what is shown."
+
+    def complete(self, config: TrainConfig) -> TrainConfig:
+        """The settings with the counts, views and shape of this dataset.
+
+        Raises:
+            ConfigError: What is asked does not go with it.
+        """
+        self._check_given(config)
+        name, preset = policy_preset(config, has_accelerator())
+        usual = [v for v in self.recording.views if v not in config.hold_out_view]
+        given = vars(config)
+        views = given["views"] or max(1, len(usual))
+        conditioning = given["conditioning"] or preset.conditioning
+        require_calibrated(self.recording, conditioning)
+        parts = parts_of(self.recording, _held_out(config), views)
+        config = replace(
+            config,
+            task=RECORDED,
+            preset=name,
+            action_space="native",
+            views=views,
+            n=max(len(p.views) for p in parts.all),
+            m=0,
+            demos=parts.train,
+            validation=len({p.episode for p in parts.all[parts.train :]}),
+            resolution=self._resolution(config, preset.resolution),
+            videos=0,
+        )
+        meaning = self.meaning(config)
+        weights = "keyframe_weight" in {text.partition("=")[0] for text in config.model}
+        if config.policy != "smolvla" and not weights and None in (meaning.grip, meaning.gripper):
+            config = replace(config, model=(*config.model, "keyframe_weight=0"))
+        return config
+
+    def _check_given(self, config: TrainConfig) -> None:
+        """Refuses settings that only a simulator has a use for."""
+        asked = config.action_space
+        if asked not in (None, "native"):
+            raise ConfigError(
+                f"--action-space {asked}: a recorded dataset keeps its own actions; leave it out."
+            )
+        for name in ("n", "m"):
+            if getattr(config, name) is not None and config.task != RECORDED:
+                raise ConfigError(f"--{name} is for cameras that are simulated; leave it out.")
+
+    def _resolution(self, config: TrainConfig, preset: int) -> int | str:
+        """The size of the pictures: as asked, or with a shorter side and the dataset's shape."""
+        asked = vars(config)["resolution"] or preset
+        if isinstance(asked, str) and "x" in asked:
+            return asked
+        if config.policy == "smolvla":  # which takes squares
+            return int(asked)
+        sight = next(iter(self.recording.episodes[0].sights.values()))
+        return size_name(*keeping_shape((sight.height, sight.width), sides(asked)[0]))
+
+    def meaning(self, config: TrainConfig) -> Meaning:
+        """What is known of the numbers, by their names and by what the settings say."""
+        recording = self.recording
+        grip = _grip_asked(config.grip, recording) if config.grip else _grip_named(recording)
+        grippers = [i for i, name in enumerate(recording.action_names) if "grip" in name.lower()]
+        return Meaning(grip, grippers[-1] if grippers else None)
+
+    def check(self, config: TrainConfig) -> None:
+        """Nothing more than `complete` has checked."""
+
+    def spec(self, config: TrainConfig, chunk: int, obs_steps: int) -> PolicySpec:
+        """The sizes of a policy for this dataset."""
+        height, width = sides(config.resolution)
+        return PolicySpec(
+            action_dim=len(self.recording.action_names),
+            proprio_dim=len(self.recording.state_names),
+            views=config.views,
+            height=height,
+            width=width,
+            chunk=chunk,
+            obs_steps=obs_steps,
+        )
+
+    def parts(self, config: TrainConfig) -> Parts:
+        """Its demonstrations, for training and for validation."""
+        return parts_of(self.recording, _held_out(config), config.views)
+
+    def dataset(self, configs: Sequence[TrainConfig], console: Console | None) -> Dataset:
+        """What runs that differ in their seed are trained on; pictures are decoded once."""
+        config, parts = configs[0], self.parts(configs[0])
+        if console and len(parts.all) == parts.train:
+            console.print(f"{self.recording.path}: {NO_VALIDATION}", soft_wrap=True)
+        obs_steps = policy_settings(config, self.prompt).obs_steps
+        samples = Samples(parts.layout(self.recording), parts.train, ordered=True)
+        seeds = [c.seed for c in configs]
+        wanted = samples.wanted(seeds, config.steps, config.batch, config.views, obs_steps)
+        size = sides(config.resolution)
+        folder = absolute(config.data_dir)
+        pictures = load_recorded_pictures(self.recording, parts, size, folder, console, wanted)
+        return make_recorded(self.recording, parts, pictures, self.meaning(config))
+
+    def conclude(
+        self,
+        config: TrainConfig,
+        run: RunDir | None,
+        policy: Policy,
+        state: TrainState,
+        console: Console | None,
+    ) -> None:
+        """Measure the errors of the actions on what was held out, draw, and write the report."""
+        if run is None or not is_first():
+            return
+        parts = self.parts(config)
+        data = self.dataset([config], console)
+        step, params = int(state.step), own(state.eval_params)
+        names = self.recording.action_names
+        rows = [row for row in read_errors(run.path) if row.step == step]
+        if not rows:
+            rows = action_errors(policy, params, data, parts, names, step)
+            errors_file(run.path).parent.mkdir(exist_ok=True)
+            append_jsonl(errors_file(run.path), *(row.to_json() for row in rows))
+        write_action_figures(run.path / "plots", read_metrics(run.path), rows)
+        report = write_report(run.path)
+        if console:
+            for row in rows:
+                console.print(_in_words(row), soft_wrap=True)
+            console.print(f"Report: {report}", soft_wrap=True)
+
+
+def require_calibrated(recording: Recording, conditioning: str) -> None:
+    """Refuses cameras that nobody has calibrated, unless the policy is told none.
+
+    Raises:
+        ConfigError: Naming the views, and the shortest way to a calibration.
+    """
+    if conditioning == "none":
+        return
+    sights = (pair for episode in recording.episodes for pair in episode.sights.items())
+    lacking = sorted({view for view, sight in sights if not sight.calibration})
+    if lacking:
+        raise ConfigError(
+            f"{recording.path}: nobody says where these cameras stood: {', '.join(lacking)}. "
+            f"Conditioning {conditioning} needs their intrinsics and poses: write them into a file "
+            "(docs/calibrated-datasets.md) and give it as --cameras FILE. Without, "
+            "--conditioning none trains a policy that is not told."
+        )
+
+
+def _held_out(config: TrainConfig) -> HeldOut:
+    return HeldOut(config.hold_out_view, config.hold_out_episodes, config.validation)
+
+
+def _grip_named(recording: Recording) -> tuple[int, int, int] | None:
+    """Columns of the state whose names say that they are the grip's x, y and z."""
+    axes = {m[1]: i for i, n in enumerate(recording.state_names) if (m := _GRIP.match(n.lower()))}
+    return (axes["x"], axes["y"], axes["z"]) if len(axes) == 3 else None
+
+
+def _grip_asked(text: str, recording: Recording) -> tuple[int, int, int]:
+    """Columns of the state that a setting such as "observation.state[0:3]" names."""
+    match = re.fullmatch(r"(?:observation\.)?state\[([0-9]{1,6}):([0-9]{1,6})\]", text.strip())
+    if match and int(match[2]) - int(match[1]) == 3 and int(match[2]) <= len(recording.state_names):
+        first = int(match[1])
+        return first, first + 1, first + 2
+    raise ConfigError(
+        f"--grip names three columns of the state as observation.state[0:3] does, of "
+        f"{len(recording.state_names)} that there are; got {text[:80]!r}."
+    )
+
+
+def _in_words(row: ActionErrors) -> str:
+    value, low, high = row.mean()
+    poses = ""
+    if row.rotation_deg or row.translation:
+        poses = f", told poses off by {row.rotation_deg:g}° and {100 * row.translation:g} cm"
+    span = f" [{low:.2f}, {high:.2f}]" if np.isfinite(low) else ""
+    count = len(row.errors)
+    return (
+        f"Error of actions on {row.group}{poses}: {value:.2f}{span} deviations "
+        f"(n = {count} episode{'' if count == 1 else 's'})"
+    )

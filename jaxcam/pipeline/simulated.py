@@ -1,0 +1,143 @@
+"""Demonstrations given in a simulator: collected, rendered, and judged by rollouts of new pairs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from rich.console import Console
+
+from jaxcam.config.datasets import CollectConfig
+from jaxcam.config.sizes import sides
+from jaxcam.config.train import TrainConfig
+from jaxcam.data.batches import Dataset, make_dataset
+from jaxcam.data.collection import collect
+from jaxcam.data.demos import read_demos
+from jaxcam.data.pictures import load_pictures
+from jaxcam.data.samples import Layout, Samples
+from jaxcam.data.splits import NO_VALIDATION
+from jaxcam.devices import own
+from jaxcam.errors import ConfigError
+from jaxcam.evaluation.checkpoint import Wanted, evaluate
+from jaxcam.evaluation.evaluator import Candidate, Evaluator
+from jaxcam.files.paths import absolute
+from jaxcam.models import Policy, PolicySpec, policy_settings
+from jaxcam.reports.camera_figures import ray_picture
+from jaxcam.reports.run_figures import write_plots
+from jaxcam.reports.run_page import write_report
+from jaxcam.reports.style import save
+from jaxcam.results.stats import Estimate
+from jaxcam.runs.folder import RunDir
+from jaxcam.runs.metrics import read_metrics
+from jaxcam.runs.rollouts import read_rows, rows_file
+from jaxcam.sim import engine_name, make_task
+from jaxcam.sim.actions import action_dim, space_of
+from jaxcam.sim.world import PROPRIO_DIM
+from jaxcam.training.state import TrainState
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """Demonstrations of a task, in the file that the settings name or lead to.
+
+    Attributes:
+        task: The task's name.
+    """
+
+    task: str
+
+    @property
+    def prompt(self) -> str:
+        """What the task asks for, in words."""
+        return make_task(self.task).prompt
+
+    def complete(self, config: TrainConfig) -> TrainConfig:
+        """The settings with the demonstrations and cameras of the dataset file, if one is named.
+
+        Raises:
+            DatasetError: The file cannot be read, or is of another task or scene.
+            ConfigError: It has other numbers of them than are asked.
+        """
+        if recorded := [name for name in ("cameras", "grip") if getattr(config, name)]:
+            raise ConfigError(
+                f"--{recorded[0]} is for recorded datasets: give a folder as --dataset, or leave "
+                "it out."
+            )
+        if not config.dataset:
+            return config
+        header = read_demos(absolute(config.dataset), task=config.task, scene=config.scene).header
+        counts = {"demos": header.train, "validation": header.valid, "n": header.n, "m": header.m}
+        for name, count in counts.items():
+            if getattr(config, name) not in (count, getattr(TrainConfig, name)):
+                raise ConfigError(
+                    f"{name} is {count} in {config.dataset}, but {getattr(config, name)} was "
+                    f"asked. Leave --{name} out: a dataset brings its own."
+                )
+        return replace(config, **counts)
+
+    def check(self, config: TrainConfig) -> None:
+        """Refuse an engine that cannot step the task's world."""
+        engine_name(config.engine, make_task(config.task))
+
+    def spec(self, config: TrainConfig, chunk: int, obs_steps: int) -> PolicySpec:
+        """The sizes of a policy for this task."""
+        height, width = sides(config.resolution)
+        return PolicySpec(
+            action_dim=action_dim(config.action_space),
+            proprio_dim=PROPRIO_DIM,
+            views=config.views,
+            height=height,
+            width=width,
+            chunk=chunk,
+            obs_steps=obs_steps,
+        )
+
+    def dataset(self, configs: Sequence[TrainConfig], console: Console | None) -> Dataset:
+        """What runs that differ in their seed are trained on; what is missing is made."""
+        config = configs[0]
+        task = make_task(config.task)
+        task.require()  # hours may pass until the evaluation needs its simulator
+        if config.dataset:
+            demos = read_demos(absolute(config.dataset), task=config.task, scene=config.scene)
+        else:
+            demos = collect(CollectConfig.of(config), console)
+        if console and not demos.valid:
+            console.print(f"{demos.path}: {NO_VALIDATION}", soft_wrap=True)
+        samples = Samples(Layout.of(demos), len(demos.train))
+        samples.check_views(config.views)
+        seeds, obs_steps = [c.seed for c in configs], policy_settings(config, task.prompt).obs_steps
+        wanted = samples.wanted(seeds, config.steps, config.batch, config.views, obs_steps)
+        pictures = load_pictures(demos, config.resolution, console, wanted)
+        space = space_of(config.action_space, config.rotations)  # pyright: ignore
+        return make_dataset(demos, pictures, space, task.scene(config.scene))
+
+    def conclude(
+        self,
+        config: TrainConfig,
+        run: RunDir | None,
+        policy: Policy,
+        state: TrainState,
+        console: Console | None,
+    ) -> None:
+        """Evaluate the last checkpoint on held-out pairs, draw, and write the report."""
+        evaluator = Evaluator(config)
+        step = int(state.step)
+        candidate = Candidate(policy, own(state.eval_params), absolute(config.run_dir), step)
+        wanted = Wanted(pairs=config.pairs, videos=config.videos)
+        estimate = evaluate(evaluator, candidate, wanted, console)
+        if run is None:
+            return
+        _log_success(run, step, estimate)
+        rows = [row for row in read_rows(rows_file(run.path)) if row.step == step]
+        write_plots(run.path / "plots", read_metrics(run.path), rows)
+        save(ray_picture(*evaluator.sight("test", 0)), run.path / "pictures" / "rays.png")
+        report = write_report(run.path)
+        if console:
+            console.print(f"Success on {config.pairs} held-out pairs: {estimate}")
+            console.print(f"Report: {report}", soft_wrap=True)
+
+
+def _log_success(run: RunDir, step: int, estimate: Estimate) -> None:
+    """Writes the result among the metrics, once."""
+    if any(row["step"] == step and "success_rate" in row for row in read_metrics(run.path)):
+        return
+    rate = {"success_rate": estimate.value, "low": estimate.low, "high": estimate.high}
+    run.log({"step": step, **rate, "pairs": estimate.clusters})

@@ -1,0 +1,91 @@
+"""Where a run's demonstrations come from: simulated here, or recorded by somebody.
+
+This is all that training asks of them; nothing after it knows which kind it has.
+"""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from rich.console import Console
+
+from jaxcam.config.train import TrainConfig
+from jaxcam.data.batches import Dataset
+from jaxcam.errors import ConfigError
+from jaxcam.files.paths import absolute
+from jaxcam.models import Policy, PolicySpec
+from jaxcam.pipeline.recorded import Recorded
+from jaxcam.pipeline.simulated import Simulated
+from jaxcam.runs.folder import RunDir
+from jaxcam.runs.identity import RECORDED
+from jaxcam.training.state import TrainState
+
+
+class Source(Protocol):
+    """Demonstrations, and what becomes of a policy that has learned from them."""
+
+    @property
+    def prompt(self) -> str:
+        """What they show, in words."""
+        ...
+
+    def complete(self, config: TrainConfig) -> TrainConfig:
+        """The settings with those that the demonstrations decide.
+
+        Raises:
+            ConfigError: A setting that is given does not go with them.
+        """
+        ...
+
+    def check(self, config: TrainConfig) -> None:
+        """Refuse resolved settings that could not be trained or evaluated to the end."""
+        ...
+
+    def spec(self, config: TrainConfig, chunk: int, obs_steps: int) -> PolicySpec:
+        """The sizes of a policy that learns from them.
+
+        Args:
+            config: Resolved settings.
+            chunk: Actions that the policy predicts at a time.
+            obs_steps: Observations it sees at once.
+        """
+        ...
+
+    def dataset(self, configs: Sequence[TrainConfig], console: Console | None) -> Dataset:
+        """The arrays that runs of these settings, which differ in their seed, are trained on."""
+        ...
+
+    def conclude(
+        self,
+        config: TrainConfig,
+        run: RunDir | None,
+        policy: Policy,
+        state: TrainState,
+        console: Console | None,
+    ) -> None:
+        """Evaluate what was trained, draw, and write the report.
+
+        Args:
+            config: Resolved settings.
+            run: The run's folder; None in a process that writes nothing.
+            policy: What was trained.
+            state: Where training ended.
+            console: For progress and results; silent when None.
+        """
+        ...
+
+
+def source_of(config: TrainConfig) -> Source:
+    """What a run learns from: a folder that `dataset` names was recorded, all else is simulated."""
+    if config.dataset and absolute(config.dataset).is_dir():
+        if config.task not in (TrainConfig.task, RECORDED):
+            raise ConfigError(
+                f"{config.dataset} is a recorded dataset and shows what it shows: leave --task "
+                f"{config.task} out."
+            )
+        return Recorded.open(config)
+    if config.task == RECORDED:
+        raise ConfigError(
+            "--task recorded needs the folder of a recorded dataset as --dataset; got "
+            f"{config.dataset or 'none'}."
+        )
+    return Simulated(config.task)

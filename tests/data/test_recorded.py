@@ -1,0 +1,155 @@
+"""Recorded datasets as arrays: who is held out, and which camera goes with which picture."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import robots
+
+from jaxcam.data.fitting import fit
+from jaxcam.data.recorded import HeldOut, Meaning, make_recorded, parts_of
+from jaxcam.data.recorded_pictures import load_recorded_pictures
+from jaxcam.errors import ConfigError, DatasetError
+
+SIZE = (24, 32)
+
+
+ONE = HeldOut(count=1)
+NOTHING_KNOWN = Meaning()
+
+
+def made(folder, recording, held_out=ONE, views=1, meaning=NOTHING_KNOWN):
+    parts = parts_of(recording, held_out, views)
+    pictures = load_recorded_pictures(recording, parts, SIZE, folder)
+    return parts, make_recorded(recording, parts, pictures, meaning)
+
+
+def test_episodes_and_views_are_held_out(tmp_path):
+    recording = robots.recording(tmp_path, views=("front", "side", "wrist"))
+    held_out = HeldOut(("wrist",), (1,))
+    parts = parts_of(recording, held_out, 2)
+    said = [(p.episode, p.views, p.group) for p in parts.all]
+    assert said == [
+        (0, ("front", "side"), "training"),
+        (2, ("front", "side"), "training"),
+        (3, ("front", "side"), "training"),
+        (1, ("front", "side"), "new episodes"),
+        (1, ("wrist", "front"), "new cameras"),
+    ]
+    assert parts.train == 3
+
+
+def test_the_datasets_own_split_and_the_usual_one(tmp_path):
+    recording = robots.recording(tmp_path, episodes=11)
+    own = dataclasses.replace(recording, valid=(2, 5))
+    groups = [p.episode for p in parts_of(own, HeldOut(), 1).all if p.group == "new episodes"]
+    assert groups == [2, 5]
+    usual = parts_of(recording, HeldOut(), 1)
+    assert len(usual.all) - usual.train == 2  # one of five
+    assert parts_of(recording, HeldOut(count=0), 1).train == 11
+
+
+@pytest.mark.parametrize(
+    ("held_out", "views", "words"),
+    [
+        (HeldOut(views=("frnt",)), 1, "has no view 'frnt'.*did you mean 'front'"),
+        (HeldOut(episodes=(9,)), 1, "has no episode 9: its 4 are 0 to 3"),
+        (HeldOut(episodes=(0, 1, 2, 3)), 1, "no episode remains"),
+        (HeldOut(), 3, r"episode 0 is seen by 2 views .* Give --views 2"),
+        (HeldOut(views=("side",)), 2, "Give --views 1"),
+    ],
+)
+def test_what_cannot_be_held_out(tmp_path, held_out, views, words):
+    with pytest.raises(ConfigError, match=words):
+        parts_of(robots.recording(tmp_path), held_out, views)
+
+
+def test_each_picture_has_its_own_camera(tmp_path):
+    """Every row of every batch: the picture, its K, pose and lens are those of one sight."""
+    views = ("front", "side", "wrist")
+    recording = robots.recording(tmp_path, views=views, moving=("wrist",))
+    parts, data = made(tmp_path, recording, HeldOut(count=1), views=3)
+    demo = np.arange(len(parts.all)).repeat(9)
+    t = np.tile(np.arange(9), len(parts.all))
+    batch = data.batch(demo, t, np.tile([2, 0, 1], (len(demo), 1)), chunk=3)
+    for row, (d, step) in enumerate(zip(demo, t, strict=True)):
+        episode = recording.episodes[parts.all[d].episode]
+        for place, view in enumerate(("wrist", "front", "side")):
+            sight, fitted = episode.sights[view], fit(robots.SIZES[view], SIZE)
+            expected = fitted.picture(robots.picture(int(episode.name), view, step))
+            np.testing.assert_array_equal(batch["image"][row, place], expected)
+            calibration = sight.calibration
+            K = fitted.intrinsics(calibration.K)
+            np.testing.assert_allclose(batch["K"][row, place], K, rtol=1e-6)
+            poses = calibration.base_from_camera
+            pose = poses[step] if poses.ndim == 3 else poses
+            np.testing.assert_allclose(batch["base_from_camera"][row, place], pose, rtol=1e-6)
+            lens = calibration.distortion
+            np.testing.assert_allclose(batch["distortion"][row, place], lens, rtol=1e-6)
+        np.testing.assert_array_equal(batch["proprio"][row], episode.state[step])
+        np.testing.assert_array_equal(batch["action"][row, 0], episode.action[step])
+
+
+def test_several_observations(tmp_path):
+    recording = robots.recording(tmp_path, moving=("side",))
+    _, data = made(tmp_path, recording)
+    demo, t, views = np.array([0, 1]), np.array([0, 5]), np.array([[1], [1]])
+    batch = data.batch(demo, t, views, chunk=4, obs_steps=2)
+    poses = recording.episodes[0].sights["side"].calibration.base_from_camera
+    np.testing.assert_allclose(batch["base_from_camera"][0, :, 0], poses[[0, 0]], rtol=1e-6)
+    assert batch["distortion"].shape == (2, 2, 1, 9)
+    single = data.batch(demo, t - [0, 1], views, chunk=4)
+    np.testing.assert_array_equal(batch["image"][1, 0], single["image"][1])
+
+
+def test_pinholes_have_no_lens(tmp_path):
+    _, data = made(tmp_path, robots.recording(tmp_path, lens=False))
+    assert data.distortion is None
+    batch = data.batch(np.array([0]), np.array([0]), np.array([[0]]), chunk=2)
+    assert "distortion" not in batch
+    assert "keyframe" not in batch
+
+
+def test_named_cameras_keep_their_order(tmp_path):
+    recording = robots.recording(tmp_path, views=("front", "side", "wrist"))
+    _, data = made(tmp_path, recording, views=2)
+    seen = np.concatenate([data.samples.index(0, step, 6, 2)[2] for step in range(20)])
+    assert (np.diff(seen, axis=1) > 0).all()
+    assert set(map(tuple, seen)) == {(0, 1), (0, 2), (1, 2)}
+
+
+def test_keyframes_are_where_the_gripper_changes(tmp_path):
+    recording = robots.recording(tmp_path)
+    first = recording.episodes[0]
+    first.action[:, 4] = [0, 0, 0, 1, 1, 1, 0, 0, 0, 0]
+    meaning = Meaning(grip=(0, 1, 2), gripper=4)
+    _, data = made(tmp_path, recording, HeldOut(episodes=(3,)), meaning=meaning)
+    where = [3, 3, 3, 6, 6, 6, 9, 9, 9, 9]
+    np.testing.assert_array_equal(data.keyframes[0, :10], first.state[where, :3])
+
+
+def test_pictures_are_decoded_once(tmp_path):
+    recording = robots.recording(tmp_path)
+    parts = parts_of(recording, HeldOut(count=1), 1)
+    first = load_recorded_pictures(recording, parts, SIZE, tmp_path)
+    assert first.drawn.all()
+
+    def fails():
+        raise AssertionError("decoded again")
+
+    for episode in recording.episodes:
+        for view, sight in episode.sights.items():
+            episode.sights[view] = dataclasses.replace(sight, decode=fails)
+    again = load_recorded_pictures(recording, parts, SIZE, tmp_path)
+    np.testing.assert_array_equal(again.rgb, first.rgb)
+
+
+def test_a_film_that_is_too_short_is_refused(tmp_path):
+    recording = robots.recording(tmp_path)
+    episode = recording.episodes[1]
+    sight = episode.sights["side"]
+    short = lambda: list(sight.decode())[:-2]  # noqa: E731
+    episode.sights["side"] = dataclasses.replace(sight, decode=lambda: iter(short()))
+    parts = parts_of(recording, HeldOut(count=0), 1)
+    with pytest.raises(DatasetError, match="episode 1 has 11 steps, but view side has 9 pictures"):
+        load_recorded_pictures(recording, parts, SIZE, tmp_path)

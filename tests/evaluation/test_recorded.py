@@ -1,0 +1,66 @@
+"""Errors of actions on recorded episodes: what they measure, and what moves them."""
+
+import jax
+import numpy as np
+import pytest
+import robots
+
+from jaxcam.config.train import TrainConfig
+from jaxcam.data.recorded import HeldOut, Meaning, make_recorded, parts_of
+from jaxcam.data.recorded_pictures import load_recorded_pictures
+from jaxcam.evaluation.recorded import action_errors
+from jaxcam.models import Policy, PolicySpec, make_policy, policy_settings
+from jaxcam.runs.identity import resolve
+
+SIZE = (24, 32)
+
+
+@pytest.fixture
+def learned_from(tmp_path):
+    recording = robots.recording(tmp_path)
+    parts = parts_of(recording, HeldOut(episodes=(1, 2)), 2)
+    pictures = load_recorded_pictures(recording, parts, SIZE, tmp_path)
+    return recording, parts, make_recorded(recording, parts, pictures, Meaning())
+
+
+def spec(chunk, obs_steps=1):
+    return PolicySpec(5, 5, 2, *SIZE, chunk=chunk, obs_steps=obs_steps)
+
+
+def test_errors_by_hand(learned_from):
+    """A policy that says 0.5: its errors are the distances of the actions from that."""
+    recording, parts, data = learned_from
+
+    def act(params, obs, key):
+        return np.full((len(obs["proprio"]), 3, 5), 0.5)
+
+    policy = Policy(lambda key: {}, lambda *_: None, act, None, spec(3), 3)
+    rows = action_errors(policy, {}, data, parts, recording.action_names, 7)
+    assert [(r.step, r.group, r.rotation_deg) for r in rows] == [
+        (7, "new episodes", 0.0), (7, "new episodes", 5.0),
+    ]  # fmt: skip
+    for number, of_episode in enumerate((1, 2)):
+        action = recording.episodes[of_episode].action
+        t = np.linspace(0, len(action) - 1, 16).astype(int)
+        for ahead in range(3):
+            reached = t + ahead
+            expected = np.abs(action[reached[reached < len(action)]] - 0.5).mean(0)
+            np.testing.assert_allclose(rows[0].errors[number, ahead], expected, rtol=1e-5)
+    training = np.concatenate([recording.episodes[i].action for i in (0, 3)])
+    np.testing.assert_allclose(rows[0].scale, training.std(0), rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("policy", "conditioning"), [("act", "keypoints"), ("act", "none"), ("diffusion", "keypoints")]
+)
+def test_wrong_poses_matter_only_to_who_is_told(learned_from, policy, conditioning):
+    recording, parts, data = learned_from
+    fast = ("sample_steps=1",) if policy == "diffusion" else ("width=16", "hidden=16")
+    model = ("encoder_width=8", "keypoints=4", "keyframe_weight=0", *fast)
+    config = TrainConfig(policy=policy, conditioning=conditioning, preset="laptop", model=model)
+    network = policy_settings(resolve(config, accelerator=False), "")
+    made = make_policy(network, spec(network.chunk, network.obs_steps), data.stats())
+    params = made.init(jax.random.key(0))
+    right, wrong = action_errors(made, params, data, parts, recording.action_names, 0)
+    same = np.array_equal(right.errors, wrong.errors, equal_nan=True)
+    assert same == (conditioning == "none")

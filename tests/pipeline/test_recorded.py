@@ -1,0 +1,108 @@
+"""Policies that learn from recorded datasets: trained, resumed, judged and reported."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import robots
+
+from jaxcam.config.train import TrainConfig
+from jaxcam.errors import ConfigError
+from jaxcam.pipeline.sources import source_of
+from jaxcam.pipeline.train import train
+from jaxcam.runs.action_errors import read_errors
+from jaxcam.runs.identity import read_config, resolve
+from jaxcam.runs.metrics import read_metrics
+
+SMALL = {
+    "steps": 4, "batch": 4, "warmup": 1, "resolution": 24, "preset": "laptop", "validation": 1,
+    "model": ("width=16", "hidden=16", "chunk=4", "encoder_width=8", "keypoints=4"),
+}  # fmt: skip
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder that is read as a robot's: the readers of formats have tests of their own."""
+    place = tmp_path / "cups"
+    place.mkdir()
+    made = {
+        "recording": robots.recording(place, views=("front", "side", "wrist"), moving=("wrist",))
+    }
+    monkeypatch.setattr("jaxcam.pipeline.recorded.read_recording", lambda *_: made["recording"])
+    return place, made
+
+
+def settings(folder, **changes):
+    place, _ = folder
+    own = {"dataset": str(place), "data_dir": str(place.parent / "data"),
+           "run_dir": str(place.parent / "run")}  # fmt: skip
+    return TrainConfig(**{**SMALL, **own, **changes})
+
+
+def test_a_run_is_trained_resumed_and_reported(folder):
+    config = settings(folder, hold_out_view=("wrist",), save_every=2, eval_every=2)
+    assert train(config) == 0
+    run = folder[0].parent / "run"
+    stored = read_config(run)
+    assert (stored.task, stored.action_space) == ("recorded", "native")
+    assert (stored.demos, stored.validation, stored.views) == (3, 1, 2)
+    assert stored.resolution == "24x32"
+    rows = read_errors(run)
+    assert [(row.group, row.rotation_deg) for row in rows] == [
+        ("new episodes", 0), ("new episodes", 5), ("new cameras", 0), ("new cameras", 5),
+    ]  # fmt: skip
+    assert rows[0].errors.shape == (1, 4, 5)
+    assert not np.array_equal(rows[0].errors, rows[1].errors)
+    page = (run / "report.html").read_text()
+    assert "recorded dataset cups" in page
+    assert "new cameras" in page
+    losses = [row.get("val_loss") for row in read_metrics(run)]
+    assert all(np.isfinite(x) for x in losses if x is not None)
+    assert train(config) == 0  # nothing is left to be done
+    assert len(read_errors(run)) == len(rows)
+
+
+def test_what_does_not_go_with_recorded_data_is_refused(folder):
+    source = source_of(settings(folder))
+    for changes, words in [
+        ({"action_space": "eef_abs"}, "keeps its own actions"),
+        ({"n": 4}, "--n is for cameras that are simulated"),
+        ({"hold_out_view": ("wirst",)}, "did you mean 'wrist'"),
+        ({"views": 4}, "Give --views 3"),
+        ({"grip": "state[0:2]"}, "three columns"),
+        ({"grip": "observation.state[3:6]"}, "three columns"),
+    ]:
+        with pytest.raises(ConfigError, match=words):
+            source.complete(settings(folder, **changes))
+    with pytest.raises(ConfigError, match="leave --task push out"):
+        source_of(settings(folder, task="push"))
+    with pytest.raises(ConfigError, match="needs the folder of a recorded dataset"):
+        source_of(TrainConfig(task="recorded"))
+    with pytest.raises(ConfigError, match="--cameras is for recorded datasets"):
+        train(TrainConfig(cameras="cameras.json"))
+
+
+def test_cameras_that_nobody_calibrated(folder):
+    _, made = folder
+    episode = made["recording"].episodes[2]
+    episode.sights["side"] = dataclasses.replace(episode.sights["side"], calibration=None)
+    with pytest.raises(ConfigError, match=r"where these cameras stood: side\. .*--cameras FILE"):
+        source_of(settings(folder)).complete(settings(folder))
+    hidden = settings(folder, conditioning="none")
+    assert source_of(hidden).complete(hidden).views == 3
+
+
+def test_the_grip_is_known_by_its_names_or_by_a_flag(folder):
+    config = settings(folder)
+    source = source_of(config)
+    assert source.meaning(config).grip == (0, 1, 2)
+    assert source.meaning(settings(folder, grip="observation.state[1:4]")).grip == (1, 2, 3)
+    assert source.meaning(config).gripper == 4
+    assert "keyframe_weight=0" not in source.complete(config).model
+    object.__setattr__(folder[1]["recording"], "action_names", ("a", "b", "c", "d", "e"))
+    assert "keyframe_weight=0" in source_of(config).complete(config).model
+
+
+def test_smolvla_takes_squares(folder):
+    config = settings(folder, policy="smolvla", preset="tiny", model=())
+    assert resolve(source_of(config).complete(config), accelerator=False).resolution == 24
