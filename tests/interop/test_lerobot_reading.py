@@ -31,7 +31,7 @@ from lerobot_folders import (
 from pyarrow import parquet
 from rights import no_rights
 
-from jaxcam.errors import DatasetError
+from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.interop.lerobot.format import Writer, feature
 from jaxcam.interop.lerobot.reading import read_lerobot
 
@@ -345,6 +345,7 @@ def test_json_that_is_none(copied, text, words):
         ({"features": {"action": 3}}, "feature 'action' is a JSON int, not an object"),
         ({"features": {"action": {"shape": [2]}}}, "feature 'action' has no 'dtype'"),
         ({"splits": ["train"]}, "splits must be dict"),
+        ({"chunks_size": 2.5}, "chunks_size must be int"),
         ({"data_path": "../{chunk_index}.parquet"}, "leads out of the folder"),
         ({"data_path": "/etc/{chunk_index}"}, "leads out of the folder"),
         ({"video_path": "{video_key}/../../../x.mp4"}, "leads out of the folder"),
@@ -380,6 +381,28 @@ def test_names_that_clash(copied):
     refused(root, "action has two numbers called 'x'")
     edit_feature(root, "action", names=["x", "y", "z"])
     refused(root, "'action' has 2 numbers and 3 names")
+    edit_feature(root, "action", shape=[3])
+    refused(root, r"'action' is said to be \[3\], and its rows have 2 numbers")
+    deep = ["x"]
+    for _ in range(300):
+        deep = [deep]
+    edit_feature(root, "action", shape=[2], names=deep)
+    refused(root, "names in lists in lists")
+    edit_feature(root, "observation.images.a/b", dtype="video", shape=[48, 64, 3])
+    refused(root, "has a name that is a path")
+
+
+def test_columns_that_clash(copied):
+    root = copied()
+    table = parquet.read_table(data_file(root))
+    parquet.write_table(table.append_column("action", table.column("action")), data_file(root))
+    refused(root, "has two columns 'action'")
+
+
+def test_indices_that_disagree_with_lengths(copied):
+    root = copied()
+    edit_table(root / EPISODES, dataset_to_index=[6, 11, 19])
+    refused(root, "episode 1 has 4 steps, and the indices 6 to 11")
 
 
 def test_states_that_are_not_there(copied):
@@ -493,7 +516,9 @@ def test_times_that_do_not_fit(copied):
     words = r"episode 0 of view 'top': no picture for step 1 at 0\.0667 s; the nearest is 0\.0167 s"
     refused(root, words)
     assert shown(read_lerobot(root, tolerance=0.02).episodes[0]).shape[0] == LENGTHS[0]
-    refused(root, "tolerance is more than 0 and less than half a step", tolerance=0.025)
+    for tolerance in (0.025, 0.0, float("nan")):
+        with pytest.raises(ConfigError, match="tolerance is more than 0 and less than half a step"):
+            read_lerobot(root, tolerance=tolerance)
 
 
 def test_too_few_pictures(copied):
