@@ -152,7 +152,7 @@ def compare(out: pathlib.Path) -> None:
         assert worst >= LEAST_PSNR, f"{file.stem}: a picture is only {worst:.1f} dB alike"
         print(
             f"LeRobot {version('lerobot')}, {file.stem}: {len(data)} rows are equal; of {count} "
-            f"pictures {same} are the same to the last bit, the others {worst:.1f} dB alike."
+            f"pictures {same} are the same to the last bit, and all at least {worst:.1f} dB alike."
         )
 
 

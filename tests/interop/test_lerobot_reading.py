@@ -32,6 +32,7 @@ from pyarrow import parquet
 from rights import no_rights
 
 from jaxcam.errors import ConfigError, DatasetError
+from jaxcam.files.video import write_video
 from jaxcam.interop.lerobot.format import Writer, feature
 from jaxcam.interop.lerobot.reading import read_lerobot
 
@@ -203,6 +204,17 @@ def test_written_and_read_are_inverse(tmp_path):
         np.testing.assert_array_equal(camera.base_from_camera, poses if e else poses[0])
         assert camera.source == "the columns camera.top.*"
         assert psnr(shown(episode), pictures) > 35
+
+
+def test_colours_of_a_video_that_says_how_they_are_coded(tmp_path):
+    """BT.709 read as BT.601 would be up to 23 levels off, as LeRobot's with PyAV 15 are."""
+    colours = [(255, 0, 0), (0, 255, 0), (0, 0, 255), (200, 120, 40)]
+    bars = np.repeat(np.array([colours], np.uint8), 16, axis=1).repeat(HEIGHT, axis=0)
+    root = tmp_path / "x"
+    write_folder(root, "v2.1", keys=(TOP,))
+    write_video(video_file(root), np.stack([bars] * LENGTHS[0]), RATE, crf=5)
+    middle = shown(read_lerobot(root).episodes[0])[3, HEIGHT // 2, 8::16]
+    np.testing.assert_allclose(middle.astype(int), colours, atol=3)
 
 
 @pytest.mark.parametrize(
