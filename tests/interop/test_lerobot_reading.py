@@ -254,6 +254,19 @@ def test_states_in_other_columns(copied):
     assert chosen.episodes[1].action.shape == (LENGTHS[1], 5)
 
 
+def test_episodes_keep_their_order_wherever_their_rows_are(copied, originals):
+    root, made = copied(), originals()[1]
+    first, second = sorted((root / "data").rglob("*.parquet"))
+    rows = pa.concat_tables([parquet.read_table(first), parquet.read_table(second)])
+    parquet.write_table(pa.concat_tables([rows[6:10]]), second)
+    parquet.write_table(pa.concat_tables([rows[:6], rows[10:]]), first)
+    edit_table(root / EPISODES, **{"data/file_index": [0, 1, 0]})
+    recording = read_lerobot(root)
+    for episode, state in zip(recording.episodes, made.states, strict=True):
+        np.testing.assert_array_equal(episode.state, state)
+    check_pictures(recording, made)
+
+
 def test_the_dataset_says_what_it_holds_out(copied):
     root = copied()
     edit_info(root, splits={"train": "0:1", "val": "1:3"})

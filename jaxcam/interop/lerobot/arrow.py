@@ -4,8 +4,8 @@ from jaxcam.errors import ConfigError
 
 try:
     import pyarrow as pa
-    from pyarrow import compute, parquet
+    from pyarrow import parquet
 except ModuleNotFoundError as error:
     raise ConfigError("This needs pyarrow: pip install 'jaxcam[lerobot]'.") from error
 
-__all__ = ["compute", "pa", "parquet"]
+__all__ = ["pa", "parquet"]

@@ -6,7 +6,7 @@ into the folder. Numbers are read at once; of pictures only what tells that all 
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -105,49 +105,47 @@ def read_lerobot(
         columns_of(info.features, action, ACTIONS, where),
         {view: _camera_columns(info, view) for view in views},
     )
-    allowed = TOLERANCE / info.fps if tolerance is None else tolerance
+    allowed = _tolerance(tolerance, info)
+    tasks, places = read_tasks(root, info), read_episodes(root, info)
+    rows = sorted(read_rows(places, columns.all), key=lambda episode: episode.place.number)
+    names = [
+        number_names(info.features, keys, [rows[0].columns[k].shape[1] for k in keys], where)
+        for keys in (columns.state, columns.action)
+    ]
+    clips = [
+        {v: c for v, key in views.items() if (c := _clip(info, episode, v, key, allowed))}
+        for episode in rows
+    ]
+    numbers = [
+        (_joined(episode, columns.state, names[0]), _joined(episode, columns.action, names[1]))
+        for episode in rows
+    ]
+    sights = _sights(rows, clips, columns, _check_pictures(clips, console))
+    recording = Recording(
+        path=root,
+        views=tuple(views),
+        state_names=names[0],
+        action_names=names[1],
+        rate=float(info.fps),
+        episodes=[
+            Episode(episode.place.name, *pair, _instruction(episode, tasks), seen)
+            for episode, pair, seen in zip(rows, numbers, sights, strict=True)
+        ],
+        fingerprint="",
+        valid=held_out(root, info, places),
+    )
+    return replace(recording, fingerprint=_fingerprint(recording, clips))
+
+
+def _tolerance(asked: float | None, info: Info) -> float:
+    """What the time of a picture may be off (s)."""
+    allowed = TOLERANCE / info.fps if asked is None else asked
     if not 0 < allowed < 0.5 / info.fps:
         raise ConfigError(
             f"tolerance is more than 0 and less than half a step ({0.5 / info.fps:.4f} s), got "
             f"{allowed}."
         )
-    tasks, places = read_tasks(root, info), read_episodes(root, info)
-    rows = list(read_rows(places, columns.all))
-    names = {
-        what: number_names(info.features, keys, [rows[0].columns[k].shape[1] for k in keys], where)
-        for what, keys in (("state", columns.state), ("action", columns.action))
-    }
-    clips = [
-        {v: c for v, key in views.items() if (c := _clip(info, episode, v, key, allowed))}
-        for episode in rows
-    ]
-    sizes = _check_pictures(clips, console)
-    readers = Readers(VideoReader), Readers(ImageReader)
-    episodes = [
-        Episode(
-            name=episode.place.name,
-            state=_joined(episode, columns.state, names["state"]),
-            action=_joined(episode, columns.action, names["action"]),
-            instruction=_instruction(episode, tasks),
-            sights={
-                view: _sight(clip, sizes[clip.file, view], episode, columns.cameras[view], readers)
-                for view, clip in seen_by.items()
-            },
-        )
-        for episode, seen_by in zip(rows, clips, strict=True)
-    ]
-    valid = held_out(root, info, places)
-    recording = Recording(
-        path=root,
-        views=tuple(views),
-        state_names=names["state"],
-        action_names=names["action"],
-        rate=float(info.fps),
-        episodes=episodes,
-        fingerprint="",
-        valid=valid,
-    )
-    return Recording(**vars(recording) | {"fingerprint": _fingerprint(recording, clips)})
+    return allowed
 
 
 def _camera_columns(info: Info, view: str) -> dict[str, str]:
@@ -219,18 +217,23 @@ def _instruction(rows: EpisodeRows, tasks: Mapping[int, str]) -> str:
     return "; ".join(tasks[t] for t in rows.tasks)
 
 
-def _sight(
-    clip: Clip,
-    size: tuple[int, int],
-    rows: EpisodeRows,
-    columns: Mapping[str, str],
-    readers: tuple[Readers[VideoClip], Readers[ImageClip]],
-) -> Sight:
-    if isinstance(clip, VideoClip):
-        decode = partial(_sized, readers[0], clip, size)
-    else:
-        decode = partial(_sized, readers[1], clip, size)
-    return Sight(*size, decode, _calibration(clip, rows, columns) if columns else None)
+def _sights(
+    rows: Sequence[EpisodeRows],
+    clips: Sequence[Mapping[str, Clip]],
+    columns: _Columns,
+    sizes: Mapping[tuple[Path, str], tuple[int, int]],
+) -> Iterator[dict[str, Sight]]:
+    """What the cameras saw of each episode."""
+    films, albums = Readers(VideoReader), Readers(ImageReader)
+    for episode, by_view in zip(rows, clips, strict=True):
+        sights = {}
+        for view, clip in by_view.items():
+            size, camera = sizes[clip.file, view], columns.cameras[view]
+            decode = partial(_sized, films if isinstance(clip, VideoClip) else albums, clip, size)
+            sights[view] = Sight(
+                *size, decode, _calibration(clip, episode, camera) if camera else None
+            )
+        yield sights
 
 
 def _sized(readers: Readers, clip: Clip, size: tuple[int, int]) -> Iterator[np.ndarray]:
@@ -265,7 +268,7 @@ def _calibration(clip: Clip, rows: EpisodeRows, columns: Mapping[str, str]) -> C
 
 def _fingerprint(recording: Recording, clips: Sequence[Mapping[str, Clip]]) -> str:
     """16 hex digits for all that training sees, see `read_lerobot`."""
-    digest, known = hashlib.sha256(), {}
+    digest, known = hashlib.sha256(), {}  # identities of files
 
     def add(*values: object) -> None:
         for value in values:

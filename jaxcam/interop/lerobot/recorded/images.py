@@ -50,9 +50,8 @@ def check_images(clip: ImageClip) -> tuple[int, int]:
     Raises:
         DatasetError: The column has none, or the picture cannot be decoded.
     """
-    reader = ImageReader(clip)
-    with contextlib.closing(reader), contextlib.closing(reader.pictures(clip)) as pictures:
-        height, width, _ = next(pictures).shape
+    with contextlib.closing(ImageReader(clip)) as reader:
+        height, width, _ = next(reader.pictures(clip)).shape
     return height, width
 
 

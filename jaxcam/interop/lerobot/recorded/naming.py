@@ -145,4 +145,4 @@ def _labels(names: Any, where: str, depth: int = 0) -> list[str]:
 
 def constant(values: np.ndarray) -> np.ndarray:
     """The first of values [T, ...] where they are all the same, else all of them."""
-    return values[0] if (values == values[0]).all() else values
+    return values[0].copy() if (values == values[0]).all() else values

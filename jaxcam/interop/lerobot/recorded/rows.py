@@ -58,7 +58,9 @@ def _cut(
     episode = index["episode_index"]
     starts = np.flatnonzero(np.diff(episode, prepend=episode[:1] - 1))
     first_of = dict(zip(episode[starts].tolist(), starts.tolist(), strict=True))
-    length_of = dict(zip(episode[starts].tolist(), np.diff([*starts, len(episode)]), strict=True))
+    length_of = dict(
+        zip(episode[starts].tolist(), np.diff(np.append(starts, len(episode))), strict=True)
+    )
     if len(first_of) < len(starts):
         raise DatasetError(f"{path}: rows of one episode_index are not together.")
     if unknown := first_of.keys() - {place.number for place in places}:

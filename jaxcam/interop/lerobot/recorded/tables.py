@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxcam.errors import DatasetError
-from jaxcam.interop.lerobot.arrow import compute, pa, parquet
+from jaxcam.interop.lerobot.arrow import pa, parquet
 
 _LISTED = 12
 """Columns that a message lists."""
@@ -123,12 +123,15 @@ def _flat(array: pa.Array, what: str) -> np.ndarray:
             raise DatasetError(f"{what} has {array.null_count} empty places.")
         if not _is_list(array.type):
             break
-        lengths = compute.min_max(compute.list_value_length(array)).as_py()
-        if lengths["min"] != lengths["max"] or not lengths["max"]:
-            raise DatasetError(
-                f"{what} has rows of {lengths['min']} to {lengths['max']} numbers, not of one size."
-            )
-        array = array.flatten()
+        parts = array.flatten()
+        if not pa.types.is_fixed_size_list(array.type):
+            lengths = array.value_lengths().to_numpy()
+            if lengths.min() != lengths.max() or not lengths.max():
+                raise DatasetError(
+                    f"{what} has rows of {lengths.min()} to {lengths.max()} numbers, not of one "
+                    "size."
+                )
+        array = parts
     is_number = pa.types.is_integer(array.type) or pa.types.is_floating(array.type)
     if not is_number and not pa.types.is_boolean(array.type):
         raise DatasetError(f"{what} are no numbers but {array.type}.")

@@ -13,6 +13,7 @@ from pathlib import Path
 import av
 import numpy as np
 from av.container import InputContainer
+from av.error import FFmpegError
 from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 
@@ -201,7 +202,7 @@ def _naming(file: Path, about: str) -> Iterator[None]:
     """Says of which video and episode an error of FFmpeg's is."""
     try:
         yield
-    except (av.FFmpegError, ValueError, EOFError) as error:
+    except (FFmpegError, ValueError, EOFError) as error:
         if isinstance(error, DatasetError):
             raise
         raise DatasetError(
