@@ -483,8 +483,11 @@ def test_damaged_lines(copied):
         ({"episode_index": [0] * 6 + [1] * 3 + [7]}, "rows of episode 7, which meta does not"),
         ({"episode_index": [0, 1] * 5}, "rows of one episode_index are not together"),
         ({"frame_index": [0, 1, 3, 2, 4, 5, 0, 1, 2, 3]}, "frame_index 3 in its row 2"),
+        ({"episode_index": [0.0] * 6 + [float("inf")] * 4}, "whole numbers, got float64"),
+        ({"episode_index": [[0, 1]] * 10}, "'episode_index' has 2 numbers a row"),
         ({"index": list(range(1, 11))}, "the index of episode 0 counts from 1"),
         ({"timestamp": [0.0] * 10}, "timestamps of episode 0 do not rise"),
+        ({"timestamp": [float("inf")] * 10}, "timestamps of episode 0 do not rise"),
         ({"task_index": [5] * 10}, "episode 0 has the task_index 5"),
         ({"timestamp": None}, "has no column 'timestamp'"),
         ({"action": [[0.0, 1.0]] * 9 + [[0.0]]}, "'action' has rows of 1 to 2 numbers"),
@@ -565,11 +568,12 @@ def test_times_out_of_order_of_decoding_are_looked_up(copied):
         ({"bytes": b"no picture", "path": "x.png"}, "step 0 cannot be decoded"),
         ({"bytes": None, "path": "images/x.png"}, "step 0 is not in the table"),
         ("x.png", "has no PNG or JPEG but string"),
+        (None, r"has no column 'observation\.images\.top'. It has "),
     ],
 )
 def test_images_that_are_none(copied, content, words):
     root = copied("v3.0", "image")
-    edit_table(data_file(root), **{TOP: [content] * 10})
+    edit_table(data_file(root), **{TOP: [content] * 10 if content else None})
     refused(root, words)
 
 

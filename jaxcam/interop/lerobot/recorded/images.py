@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxcam.errors import DatasetError
 from jaxcam.interop.lerobot.arrow import pa
-from jaxcam.interop.lerobot.recorded.tables import one_line, open_table
+from jaxcam.interop.lerobot.recorded.tables import no_column, one_line, open_table
 
 _BATCH = 16
 """Rows that are read at a time."""
@@ -105,8 +105,10 @@ class ImageReader:
 
     def _rows_from(self, clip: ImageClip) -> Iterator[bytes | None]:
         """The column's contents from an episode's first row on."""
-        field = self._table.schema_arrow.field(clip.column)
-        name = clip.column
+        schema, name = self._table.schema_arrow, clip.column
+        if schema.get_field_index(name) < 0:
+            raise DatasetError(no_column(clip.file, name, schema.names))
+        field = schema.field(name)
         if pa.types.is_struct(field.type) and field.type.get_field_index("bytes") >= 0:
             name = f"{clip.column}.bytes"
         elif not (pa.types.is_binary(field.type) or pa.types.is_large_binary(field.type)):

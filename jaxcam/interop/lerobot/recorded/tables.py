@@ -40,7 +40,7 @@ def read_table(path: Path, names: Sequence[str] | None = None) -> pa.Table:
     with open_table(path) as file:
         there = file.schema_arrow.names
         if missing := [name for name in names or () if name not in there]:
-            raise DatasetError(_no_column(path, missing[0], there))
+            raise DatasetError(no_column(path, missing[0], there))
         if doubled := [name for name in names or there if there.count(name) > 1]:
             raise DatasetError(f"{path} has two columns '{doubled[0]}'.")
         try:
@@ -101,7 +101,7 @@ def one_line(error: Exception) -> str:
     return " ".join(str(error).split()).rstrip(".")
 
 
-def _no_column(path: Path, name: str, there: Sequence[str]) -> str:
+def no_column(path: Path, name: str, there: Sequence[str]) -> str:
     """The message for a column that a table lacks; tables of episodes have hundreds."""
     others = f" and {len(there) - _LISTED} others" if len(there) > _LISTED else ""
     return f"{path} has no column '{name}'. It has {', '.join(there[:_LISTED])}{others}."
@@ -109,7 +109,7 @@ def _no_column(path: Path, name: str, there: Sequence[str]) -> str:
 
 def _column(table: pa.Table, name: str, path: Path) -> pa.ChunkedArray:
     if name not in table.column_names:
-        raise DatasetError(_no_column(path, name, table.column_names))
+        raise DatasetError(no_column(path, name, table.column_names))
     return table.column(name)
 
 
