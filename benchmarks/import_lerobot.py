@@ -60,14 +60,18 @@ def make(folder: Path, args: argparse.Namespace) -> None:
 
 def read_all(folder: Path) -> tuple[int, float]:
     """Reads a dataset and decodes it, as the first training does; pictures, and MiB it grew by."""
-    count, before = 0, 0
-    for e, episode in enumerate(read_lerobot(folder).episodes):
+    count, memory = 0, []
+    for episode in read_lerobot(folder).episodes:
         for sight in episode.sights.values():
             count += sum(1 for _ in sight.decode())
-        if e == 1:
-            before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return count, (after - before) / 1024 if before else 0.0
+        memory.append(resident())
+    return count, max(memory) - memory[min(1, len(memory) - 1)]
+
+
+def resident() -> float:
+    """This process's memory (MiB)."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 2**20
 
 
 def decode_all(folder: Path, threads: str | None) -> int:

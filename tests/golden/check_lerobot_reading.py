@@ -144,10 +144,10 @@ def compare(out: pathlib.Path) -> None:
             assert item["task"] == ours["tasks"][e]
             for key, view in zip(keys, views, strict=True):
                 theirs = np.rint(item[key].permute(1, 2, 0).numpy() * 255)
-                found = ours[f"{e}/{view}"][t]
-                assert theirs.shape == found.shape
-                worst, count = min(worst, psnr(theirs, found)), count + 1
-                same += bool((theirs == found).all())
+                mine = ours[f"{e}/{view}"][t]
+                assert theirs.shape == mine.shape
+                worst, count = min(worst, psnr(theirs, mine)), count + 1
+                same += bool((theirs == mine).all())
         assert sum(len(ours[f"{e}/action"]) for e in range(len(ours["tasks"]))) == len(data)
         assert worst >= LEAST_PSNR, f"{file.stem}: a picture is only {worst:.1f} dB alike"
         print(

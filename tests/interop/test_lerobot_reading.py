@@ -76,10 +76,10 @@ def psnr(a, b):
 def check_pictures(recording, made, least=35.0):
     for e, episode in enumerate(recording.episodes):
         for view, key in zip(recording.views, made.pictures, strict=True):
-            found, wanted = shown(episode, view), np.stack(made.pictures[key][e])
-            assert found.shape == wanted.shape
-            assert found.dtype == np.uint8
-            assert psnr(found, wanted) >= least
+            decoded, wanted = shown(episode, view), np.stack(made.pictures[key][e])
+            assert decoded.shape == wanted.shape
+            assert decoded.dtype == np.uint8
+            assert psnr(decoded, wanted) >= least
 
 
 @pytest.mark.parametrize("dtype", ["video", "image"])
@@ -119,9 +119,9 @@ def test_episodes_in_any_order_and_beside_each_other(originals, dtype):
     for t, (second, first) in enumerate(pairs):
         np.testing.assert_array_equal(second, wanted[1][t])
         np.testing.assert_array_equal(first, wanted[0][t])
-    left = recording.episodes[0].sights["top"].decode()
-    next(left)
-    left.close()
+    unfinished = recording.episodes[0].sights["top"].decode()
+    next(unfinished)
+    unfinished.close()
     np.testing.assert_array_equal(shown(recording.episodes[1]), wanted[1])
 
 
@@ -134,8 +134,8 @@ def test_a_video_of_another_rate_gives_the_nearest_pictures(copied):
     root = copied("v2.1")
     pictures = [picture(0, t // 2 if t % 2 == 0 else 9, 0) for t in range(2 * LENGTHS[0])]
     write_mp4(video_file(root), pictures, rate=2 * RATE)
-    found = shown(read_lerobot(root).episodes[0])
-    assert psnr(found, np.stack([picture(0, t, 0) for t in range(LENGTHS[0])])) > 35
+    decoded = shown(read_lerobot(root).episodes[0])
+    assert psnr(decoded, np.stack([picture(0, t, 0) for t in range(LENGTHS[0])])) > 35
 
 
 def test_reading_writes_nothing_and_needs_no_rights_to(copied):

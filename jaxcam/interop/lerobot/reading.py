@@ -128,8 +128,8 @@ def read_lerobot(
         action_names=names[1],
         rate=float(info.fps),
         episodes=[
-            Episode(episode.place.name, *pair, _instruction(episode, tasks), seen)
-            for episode, pair, seen in zip(rows, numbers, sights, strict=True)
+            Episode(episode.place.name, *pair, _instruction(episode, tasks), by_view)
+            for episode, pair, by_view in zip(rows, numbers, sights, strict=True)
         ],
         fingerprint="",
         valid=held_out(root, info, places),

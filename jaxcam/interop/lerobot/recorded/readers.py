@@ -57,7 +57,7 @@ class Readers(Generic[C]):
 
     def __init__(self, kind: Callable[[C], Reader[C]]) -> None:
         self._kind = kind
-        self._left: dict[str, Reader[C]] = {}
+        self._idle: dict[str, Reader[C]] = {}
 
     def decode(self, clip: C) -> Iterator[np.ndarray]:
         """An episode's pictures, uint8 [H, W, 3], in order of time."""
@@ -67,7 +67,7 @@ class Readers(Generic[C]):
     @contextlib.contextmanager
     def _reader(self, clip: C) -> Iterator[Reader[C]]:
         """The file, alone for whoever reads it; one that was not read to the end is closed."""
-        reader = self._left.pop(clip.view, None)
+        reader = self._idle.pop(clip.view, None)
         if reader is not None and reader.file != clip.file:
             reader.close()
             reader = None
@@ -77,6 +77,6 @@ class Readers(Generic[C]):
         except BaseException:
             reader.close()
             raise
-        if before := self._left.pop(clip.view, None):
+        if before := self._idle.pop(clip.view, None):
             before.close()
-        self._left[clip.view] = reader
+        self._idle[clip.view] = reader
