@@ -166,16 +166,20 @@ def _write_videos(root, version, files, clips, key, codec, options, start):
         write_mp4(path, shown, codec, options, start)
 
 
-def write_mp4(path, pictures, codec="libx264", options=None, start=0.0, rate=RATE):
-    """Writes a video, its index first."""
+def write_mp4(path, pictures, codec="libx264", options=None, start=0.0, rate=RATE, moments=None):
+    """Writes a video, its index first; pictures are one after the other, or at these moments."""
     quiet = {"libx265": {"x265-params": "log-level=none"}, "libsvtav1": {"crf": "30"}}
     with av.open(str(path), "w", format="mp4", options={"movflags": "faststart"}) as container:
         settings = quiet.get(codec, {"crf": "10"}) | (options or {})
         stream = container.add_stream(codec, rate=rate, options=settings)
         stream.height, stream.width, stream.pix_fmt = HEIGHT, WIDTH, "yuv420p"
-        for i, shown in enumerate(pictures):
+        moments = range(len(pictures)) if moments is None else moments
+        for i, shown in zip(moments, pictures, strict=True):
             frame = av.VideoFrame.from_ndarray(shown, format="rgb24")
-            frame.time_base, frame.pts = 1 / stream.codec_context.framerate, i + round(start * rate)
+            frame.time_base, frame.pts = (
+                1 / stream.codec_context.framerate,
+                int(i) + round(start * rate),
+            )
             container.mux(stream.encode(frame))
         container.mux(stream.encode())
 
