@@ -5,6 +5,7 @@ LeRobot's own loader is held against the reading by hand: tests/golden/check_ler
 
 import json
 import tracemalloc
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -113,21 +114,25 @@ def test_a_video_of_another_rate_gives_the_nearest_pictures(copied):
     assert psnr(decoded, np.stack([picture(0, t, 0) for t in range(LENGTHS[0])])) > 35
 
 
-def test_reading_writes_nothing_and_needs_no_rights_to(copied):
-    root = copied()
-    read_lerobot(root)  # imports what it needs
-    before = {p: p.stat().st_mtime_ns for p in root.rglob("*")}
-    for path in (root, *root.rglob("*")):
-        path.chmod(0o555 if path.is_dir() else 0o444)
-    root.parent.chmod(0o755)
-    with no_rights() if _may_be_entered(root) else open(root / "meta/info.json"):
-        recording = read_lerobot(root)
+@pytest.fixture
+def read_only(originals):
+    """A folder that nobody may write into, at a place that anybody may enter."""
+    with tempfile.TemporaryDirectory() as place:
+        Path(place).chmod(0o755)
+        root = shutil.copytree(originals()[0], Path(place) / "folder")
+        for path in (root, *root.rglob("*")):
+            path.chmod(0o555 if path.is_dir() else 0o444)
+        yield root
+        for path in (root, *root.rglob("*")):
+            path.chmod(0o755)
+
+
+def test_a_folder_that_is_read_only(read_only):
+    before = {p: p.stat().st_mtime_ns for p in read_only.rglob("*")}
+    with no_rights():
+        recording = read_lerobot(read_only)
         assert len(shown(recording.episodes[1])) == LENGTHS[1]
-    assert {p: p.stat().st_mtime_ns for p in root.rglob("*")} == before
-
-
-def _may_be_entered(root):
-    return all(parent.stat().st_mode & 0o5 == 0o5 for parent in root.parents)
+    assert {p: p.stat().st_mtime_ns for p in read_only.rglob("*")} == before
 
 
 def test_memory_does_not_grow_with_the_video(tmp_path):
