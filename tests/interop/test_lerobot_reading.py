@@ -4,6 +4,8 @@ LeRobot's own loader is held against the reading by hand: tests/golden/check_ler
 """
 
 import json
+import shutil
+import tempfile
 import tracemalloc
 from pathlib import Path
 
