@@ -66,19 +66,19 @@ class Case:
         self._cameras = sample_poses(task.cameras, args.worlds, 1)
         self.run(2, 1)  # compiles the shaders
 
-    def run(self, steps: int, every: int) -> tuple[float, float]:
+    def run(self, steps: int, period: int) -> tuple[float, float]:
         """Control steps per second of all worlds, and per second of processor time in children.
 
         Args:
             steps: Of each world.
-            every: Steps between pictures.
+            period: Steps between pictures.
         """
         self._state = self._engine.reset(self._start)
         middle = self._state.grip_position
         axes = rotvec_from_matrix(self._state.grip_rotation)
         began, busy = time.perf_counter(), self._busy()
         for t in range(steps):
-            if t % every == 0:
+            if t % period == 0:
                 self._draw()
             aside = 0.05 * np.array([np.cos(t / 5) - 1, np.sin(t / 5), 0.4])
             pose = np.concatenate([middle + aside, axes], -1)
@@ -105,7 +105,8 @@ def own(task: ManiSkillTask, size: int) -> Callable[[int], tuple[float, float]]:
     """ManiSkill's loop as a function of a number of steps; rates as `Case.run` gives them."""
     args = (task.env, str(size), machine.device().kind)
     process = subprocess.Popen(
-        [sys.executable, "-W", "ignore", "-c", OWN, *args], env=machine.environment(), text=True,
+        [sys.executable, "-W", "ignore", "-c", OWN, *args], text=True,
+        env=machine.child_environment(),
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     assert process.stdin is not None
@@ -152,8 +153,8 @@ def main() -> None:
     print(f"{args.task}, {args.worlds} worlds, {args.size} px, {machine.device().name}")
     print(f"{'control steps':34} {'per s':>8} {'per CPU s':>10} {'x first':>8}")
     first = np.array(rates[next(iter(rates))])[:, 0]
-    for name, found in rates.items():
-        rate, busy = np.array(found).T
+    for name, measured in rates.items():
+        rate, busy = np.array(measured).T
         print(
             f"{name:34} {np.median(rate):8.1f} {np.median(busy):10.1f} "
             f"{np.median(rate / first):8.2f}"

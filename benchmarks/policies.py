@@ -114,12 +114,12 @@ def flops(policy: Policy, batch: dict[str, np.ndarray]) -> float:
     def condition(params: Any) -> Any:
         return network(params).condition(obs, obs["proprio"])
 
-    def predict(params: Any, told: Any) -> Any:
+    def predict(params: Any, features: Any) -> Any:
         x = jnp.asarray(batch["action"])
-        return network(params).unet(x, jnp.zeros(len(x), int), *told)
+        return network(params).unet(x, jnp.zeros(len(x), int), *features)
 
-    told = jax.eval_shape(condition, params)
-    programs = (jax.jit(condition).lower(params), jax.jit(predict).lower(params, told))
+    features = jax.eval_shape(condition, params)
+    programs = (jax.jit(condition).lower(params), jax.jit(predict).lower(params, features))
     encoder, unet = ((p.cost_analysis() or {})["flops"] for p in programs)
     return encoder + config.sample_steps * unet
 
@@ -227,16 +227,16 @@ def main() -> None:
     parser.add_argument("--only", choices=("sampling", "act", "diffusion"))
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
-    found = {}
+    measured = {}
     if args.only in (None, "sampling"):
-        found["sampling"] = sampling(args.rounds, args.preset)
+        measured["sampling"] = sampling(args.rounds, args.preset)
     for kind in ("act", "diffusion"):
         if args.only in (None, kind):
-            found[kind] = training(kind, args.torch_python, args.rounds, args.torch_threads)
+            measured[kind] = training(kind, args.torch_python, args.rounds, args.torch_threads)
     if args.json:
-        print(json.dumps(found, indent=2))
+        print(json.dumps(measured, indent=2))
         return
-    for name, values in found.items():
+    for name, values in measured.items():
         print(name, ", ".join(f"{k} {v:.3g}" for k, v in values.items()))
 
 

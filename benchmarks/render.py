@@ -122,7 +122,7 @@ def measure(programs: dict[str, Callable[[], np.ndarray]], args: argparse.Namesp
     print(f"  {'':28} {'ms a picture':>12} {'of the first':>14}")
     for name, values in times.items():
         print(f"  {name:28} {np.median(values):12.2f} {ratios[name]:14.2f}")
-    found: dict[str, Any] = {
+    measured: dict[str, Any] = {
         "what": f"milliseconds a picture of Lift at {args.size} px, medians over rounds",
         "scene": args.scene,
         "ms": {name: float(np.median(t)) for name, t in times.items()},
@@ -131,10 +131,10 @@ def measure(programs: dict[str, Callable[[], np.ndarray]], args: argparse.Namesp
     if "mujoco.Renderer" in pictures:
         first = next(iter(pictures.values())).astype(float)
         difference = float(abs(first - pictures["mujoco.Renderer"]).mean())
-        found["mean_difference_of_255"] = difference
+        measured["mean_difference_of_255"] = difference
         print(f"  pictures of the two renderers differ by {difference:.1f} of 255 on average")
     if args.json:
-        print(json.dumps(found))
+        print(json.dumps(measured))
 
 
 if __name__ == "__main__":

@@ -3,11 +3,11 @@
 import sys
 from importlib import import_module
 
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from jaxcam.console.command import Command, print_error, reader_may_leave
+from jaxcam.console.command import CommandLine, print_error, reader_may_leave
+from jaxcam.console.terminal import Terminal
 from jaxcam.errors import ConfigError, closest
 
 NAMES = (
@@ -25,7 +25,7 @@ NAMES = (
 )
 
 
-def command(name: str) -> tuple[Command, str]:
+def command(name: str) -> tuple[CommandLine, str]:
     """The command of that name, `jaxcam/<name>.py`, and a line on what it does.
 
     Raises:
@@ -37,12 +37,12 @@ def command(name: str) -> tuple[Command, str]:
     return module.COMMAND, (module.__doc__ or "").partition(": ")[2].strip()
 
 
-def show() -> None:
+def print_commands() -> None:
     """Print all commands, a line each."""
     table = Table(box=None, show_header=False, padding=(0, 2))
     for name in NAMES:
         table.add_row(Text(name, "bold"), Text(command(name)[1]))
-    console = Console()
+    console = Terminal()
     console.print("jaxcam COMMAND …: robot policies that know where the camera is.\n")
     console.print(table)
     console.print("\njaxcam COMMAND --help lists its flags; python -m jaxcam.COMMAND is the same.")
@@ -53,7 +53,7 @@ def main() -> None:
     name, *rest = sys.argv[1:] or ["--help"]
     if name in ("-h", "--help"):
         with reader_may_leave():
-            show()
+            print_commands()
         return
     try:
         chosen, _ = command(name)

@@ -1,9 +1,9 @@
 """`python -m jaxcam.evaluate RUN…`: Evaluate runs on held-out initial states and camera poses."""
 
 from jaxcam.config.commands import EvaluateConfig
-from jaxcam.console.command import Command
+from jaxcam.console.command import CommandLine
 
-COMMAND = Command(EvaluateConfig, "jaxcam.evaluation.run:main")
+COMMAND = CommandLine(EvaluateConfig, "jaxcam.evaluation.run:main")
 
 if __name__ == "__main__":
     COMMAND.run()

@@ -1,12 +1,14 @@
 """How a command is stopped: the first Ctrl-C or SIGTERM asks, the second ends.
 
 A signal sets a flag, wherever it arrives: an exception raised inside a callback of somebody else's
-can be lost. Loops look at the flag between their steps.
+can be lost. Loops look at the flag between their steps. Until a command begins its work, while it
+reads its flags and imports what runs it, a signal ends it at once.
 """
 
 import contextlib
 import os
 import signal
+import sys
 from collections.abc import Iterator
 from types import FrameType
 
@@ -38,6 +40,39 @@ class Interrupt:
         return 128 + self.signal if self.signal is not None else 0
 
 
+def _end(number: int, frame: FrameType | None) -> None:
+    """Ends the process with a line: what an exception would pass through is not ours."""
+    with contextlib.suppress(OSError):
+        os.write(2, b"\nStopped; nothing was begun.\n")
+    os._exit(128 + number)
+
+
+@contextlib.contextmanager
+def ends_at_once() -> Iterator[None]:
+    """Has a SIGINT or SIGTERM end the process with a line, where nothing is begun yet."""
+    before = {s: signal.signal(s, _end) for s in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def end_commands_at_once() -> None:
+    """Does what `ends_at_once` does from now on, if this process is a command of jaxcam.
+
+    It is for `jaxcam/__init__.py`, which is imported before anything that takes time. In a program
+    that imports jaxcam nothing happens.
+    """
+    words = sys.orig_argv
+    module = words[words.index("-m") + 1 :][:1] if sys.argv[:1] == ["-m"] else [""]
+    script = os.path.basename(sys.argv[0]) if sys.argv else ""  # pathlib would take its time
+    is_default = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if is_default and (script == "jaxcam" or module[0].partition(".")[0] == "jaxcam"):
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, _end)
+
+
 _innermost: list[Interrupt | None] = []
 
 
@@ -60,7 +95,7 @@ def interrupts(
     interrupt = Interrupt()
     answer = f"\n{first}\n".encode()
 
-    def handle(number: int, frame: FrameType | None) -> None:
+    def handle(number: int, stack: FrameType | None) -> None:
         if interrupt:
             signal.signal(number, signal.SIG_DFL)
             signal.raise_signal(number)

@@ -144,6 +144,7 @@ def training_data(configs: Sequence[TrainConfig], console: Console | None) -> Da
     if console and not demos.valid:
         console.print(f"{demos.path}: {NO_VALIDATION}", soft_wrap=True)
     samples = Samples(Layout.of(demos), len(demos.train))
+    samples.check_views(config.views)
     seeds, obs_steps = [c.seed for c in configs], policy_settings(config, task.prompt).obs_steps
     wanted = samples.wanted(seeds, config.steps, config.batch, config.views, obs_steps)
     pictures = load_pictures(demos, config.resolution, console, wanted)
@@ -212,7 +213,7 @@ def _finish(
     report = write_report(run.path)
     if console:
         console.print(f"Success on {config.pairs} held-out pairs: {estimate}")
-        console.print(f"Report: {report}", markup=False, soft_wrap=True)
+        console.print(f"Report: {report}", soft_wrap=True)
 
 
 def _log_success(run: RunDir, step: int, estimate: Estimate) -> None:

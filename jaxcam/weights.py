@@ -1,9 +1,9 @@
 """`python -m jaxcam.weights FILE|RUN`: Look at a file of weights; convert policies for LeRobot."""
 
 from jaxcam.config.commands import WeightsConfig
-from jaxcam.console.command import Command
+from jaxcam.console.command import CommandLine
 
-COMMAND = Command(WeightsConfig, "jaxcam.interop.weights:main")
+COMMAND = CommandLine(WeightsConfig, "jaxcam.interop.weights:main")
 
 if __name__ == "__main__":
     COMMAND.run()

@@ -1,8 +1,12 @@
-"""Shared fixtures: Lift's scenes, a tiny dataset collected once per session, and ManiSkill."""
+"""Shared fixtures: Lift's scenes, a tiny dataset collected once per session, and ManiSkill.
+
+Fixtures import what they need: most tests need neither JAX nor a simulator.
+"""
 
 import gc
 import os
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -10,15 +14,31 @@ TINY = {"demos": 4, "validation": 2}
 """Settings of the session's dataset."""
 PIXELS = 24
 """Side of its pictures."""
+GROWN = 2**27
+"""Bytes by which tests have grown the process when it is tidied."""
+
+
+def resident():
+    """Bytes of memory that this process has; without end where the system does not say."""
+    file = Path("/proc/self/statm")
+    return int(file.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") if file.exists() else 2**63
+
+
+@pytest.fixture(scope="session")
+def tidied():
+    """How much memory the process had when it was tidied last, in a list of one number."""
+    return [resident()]
 
 
 @pytest.fixture(autouse=True, scope="module")
-def _compiled_programs_are_let_go():
+def _compiled_programs_are_let_go(tidied):
     """What a file of tests compiled is of no use to the next, and would fill the memory."""
     yield
-    if "jax" in sys.modules:
+    # Looking for what nobody uses takes a second, so it must be worth it.
+    if "jax" in sys.modules and resident() - tidied[0] >= GROWN:
         sys.modules["jax"].clear_caches()
         gc.collect()
+        tidied[0] = resident()
 
 
 @pytest.fixture(scope="session")

@@ -34,7 +34,7 @@ def names(requirements):
 
 def imports():
     """Each package outside the standard library that jaxcam imports, and a file that does."""
-    found = {}
+    imported = {}
     for path in sorted((REPO / "jaxcam").rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Import):
@@ -44,8 +44,8 @@ def imports():
             else:
                 continue
             for module in modules:
-                found.setdefault(module.partition(".")[0], path.relative_to(REPO))
-    return {name: path for name, path in found.items() if name not in sys.stdlib_module_names}
+                imported.setdefault(module.partition(".")[0], path.relative_to(REPO))
+    return {name: path for name, path in imported.items() if name not in sys.stdlib_module_names}
 
 
 def distributions(module):

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 import tiny_training
@@ -52,7 +53,7 @@ def pair(tmp_path_factory):
     folder = tmp_path_factory.mktemp("pair")
     codes, words = together("two", folder)
     assert codes == [0, 0], words
-    return folder, [json.loads((folder / f"found-{i}.json").read_text()) for i in range(2)]
+    return folder, [json.loads((folder / f"record-{i}.json").read_text()) for i in range(2)]
 
 
 def assert_close(run, other):
@@ -81,12 +82,12 @@ def test_four_devices_equal_one(alone, tmp_path):
 
 
 def test_two_processes_equal_one(alone, pair):
-    folder, found = pair
-    assert [f["shard"] for f in found] == [[0, 2], [1, 2]]
-    assert [f["devices"] for f in found] == [2, 2]
+    folder, records = pair
+    assert [f["shard"] for f in records] == [[0, 2], [1, 2]]
+    assert [f["devices"] for f in records] == [2, 2]
     assert_close(alone, folder / "run")
-    assert found[0]["w"] == found[1]["w"]
-    assert [f["step"] for f in found] == [6, 6]
+    assert records[0]["w"] == records[1]["w"]
+    assert [f["step"] for f in records] == [6, 6]
 
 
 def test_only_the_first_process_writes(pair):
@@ -96,24 +97,24 @@ def test_only_the_first_process_writes(pair):
 
 
 def test_a_signal_to_one_process_stops_both_after_saving(pair):
-    folder, found = pair
-    assert [f["stopped"] for f in found] == [1, 1]
+    folder, records = pair
+    assert [f["stopped"] for f in records] == [1, 1]
     assert [p.name for p in (folder / "stopped" / "checkpoints").iterdir()] == ["1"]
 
 
 def test_processes_share_pairs_without_a_lost_or_doubled_row(pair):
-    folder, found = pair
+    folder, records = pair
     rows = read_jsonl(folder / "eval" / "rows.jsonl")
     assert [r["pair"] for r in rows if r["status"] == "ok"] == [0, 3, 1, 4, 5, 6]
     assert [r["pair"] for r in rows if r["status"] == "error"] == [1, 2, 2]
-    assert sorted(found[0]["ran"] + found[1]["ran"]) == [0, 1, 1, 2, 2, 3, 4, 5, 6]
-    assert all(f["ran"] for f in found)
-    assert found[0]["estimate"] == found[1]["estimate"] == [0.5, 6]
+    assert sorted(records[0]["ran"] + records[1]["ran"]) == [0, 1, 1, 2, 2, 3, 4, 5, 6]
+    assert all(f["ran"] for f in records)
+    assert records[0]["estimate"] == records[1]["estimate"] == [0.5, 6]
 
 
 def test_processes_with_different_data_are_refused(pair):
-    _, found = pair
-    for f in found:
+    _, records = pair
+    for f in records:
         assert "different demonstrations: process 0 has abc, process 1 has xyz" in f["different"]
 
 
@@ -132,8 +133,6 @@ def test_processes_that_cannot_be_found(monkeypatch):
 
 
 def test_devices_divide_the_batch(monkeypatch, caplog):
-    import jax
-
     class Device:
         def __init__(self, index):
             self.id, self.process_index = index % 8, index // 8

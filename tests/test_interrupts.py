@@ -1,5 +1,6 @@
 """How a run is stopped: once asks, twice ends it."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -7,6 +8,7 @@ import textwrap
 import threading
 
 import pytest
+from places import REPO
 
 from jaxcam.interrupts import Stopped, check_stop, interrupts
 
@@ -57,6 +59,40 @@ def test_second_signal_stops_at_once(second):
         assert process.stdout.readline() == b"saving\n"
         process.send_signal(second)
         assert process.wait(10) == -second
+
+
+STARTS = ["-m jaxcam.weights", "-m jaxcam.lerobot", "-m jaxcam"]
+
+
+@pytest.mark.parametrize("command", STARTS)
+def test_ctrl_c_while_a_command_starts_is_one_line(command, tmp_path):
+    """Whatever is imported then: here a module that is slow and gives signals away."""
+    (tmp_path / "tyro.py").write_text(SLOW)
+    (tmp_path / "rich.py").write_text(SLOW)
+    where = {**os.environ, "PYTHONPATH": f"{tmp_path}:{REPO}"}
+    process = subprocess.Popen([sys.executable, *command.split()], env=where,
+                               stdout=subprocess.PIPE, stderr=subprocess.PIPE)  # fmt: skip
+    with process:
+        assert process.stdout.readline() == b"ready\n"
+        process.send_signal(signal.SIGINT)
+        assert process.wait(10) == 130
+        assert process.stderr.read().strip() == b"Stopped; nothing was begun."
+
+
+SLOW = """
+import time
+print("ready", flush=True)
+try:
+    time.sleep(60)
+except BaseException:
+    pass
+"""
+
+
+def test_a_program_that_imports_jaxcam_keeps_its_signals():
+    script = "import signal, jaxcam; print(signal.getsignal(2) is signal.default_int_handler)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stdout == "True\n"
 
 
 def test_signal_handlers_need_the_main_thread():

@@ -14,28 +14,22 @@ from pathlib import Path
 import pytest
 import yaml
 from checked_run import CONFIG, make_run
+from odd_files import COUNT, ODD, TEXTS, flipped, odd_texts, places, replaced, written
 from running import exit_code
 
 from jaxcam.checks.run import check_run
 from jaxcam.config.fields import to_json
 from jaxcam.data.pairs import read_digests
 from jaxcam.errors import JaxcamError
+from jaxcam.rays import read_pose_file
+from jaxcam.reports.arms import read_results
+from jaxcam.reports.records import read_records
 from jaxcam.runs.grid import read_grid
 from jaxcam.runs.identity import read_config
-from jaxcam.runs.manifests import DamagedError, seal, steps_in
+from jaxcam.runs.manifests import DamagedError, seal, starting_weights, steps_in
 from jaxcam.runs.metrics import read_metrics
 from jaxcam.runs.rollouts import read_rows
 from jaxcam.training.digests import read_all
-
-COUNT = 60
-ODD = [
-    None, True, False, -1, 0, 1, 2, 1.5, -0.0, 2**31, 2**63, 10**400, float("inf"), float("nan"),
-    "", "\0", "\ud800", "x" * 5000, "../../../x", "[/red]", "NaN", [], [[]], [None], [1, "a"], {},
-    {"": {}}, {"a": 1}, [{}], "\x1b[2J",
-]  # fmt: skip
-"""Values of all kinds that JSON has."""
-TEXTS = ["", "null", "[]", "7", '"a"', "{", "[" * 200_000, "{}", '{"a": 1}', "\ufeff{}", "NaN"]
-"""Whole files."""
 
 
 def metrics(folder):
@@ -58,10 +52,32 @@ def grid(folder):
     return folder / "grid.yaml", lambda: read_grid(folder / "grid.yaml")
 
 
+def weights(folder):
+    return folder / "weights.json", lambda: starting_weights(folder)
+
+
+def poses(folder):
+    return folder / "poses.json", lambda: read_pose_file(folder / "poses.json")
+
+
+def records(folder):
+    return folder / "runs.json", lambda: read_records(folder / "runs.json")
+
+
+def results(folder):
+    listed = [{"run": 0, "name": "a", "seed": 0, "settings": {"task": "lift"}, "seconds": 3}]
+    (folder / "runs.json").write_text(json.dumps(listed))
+    return folder / "rows.jsonl", lambda: read_results(folder, "test")
+
+
 ROW = {"step": 2, "split": "test", "pair": 0, "success": True, "status": "ok", "width": 50}
 METRIC = {"step": 1, "loss": 2.0, "skipped": 0.0, "seconds": 3.5}
 RATE = {"step": 2, "success_rate": 0.5, "low": 0.1, "high": 0.9, "pairs": 2}
 PAIR = {"episode_seed": 3, "cameras": [[[1.0]]], "sha": "00"}
+POSE = [[1.0, 0.0, 0.0, 0.5], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 1.2], [0.0, 0.0, 0.0, 1.0]]
+RECORD = {"run": 0, "name": "a", "seed": 0, "seconds": 7,
+          "settings": {"task": "lift", "scene": "fixed", "policy": "act", "conditioning": "late",
+                       "preset": "laptop", "views": 1}}  # fmt: skip
 WHOLE = hashlib.sha256(b"0000").hexdigest()
 GRID = {
     "title": "a",
@@ -77,47 +93,12 @@ KINDS = {
     "rows.jsonl": (rows, [ROW, ROW | {"pair": 1}]),
     "pairs-test.json": (pairs, [{"sha256": WHOLE, "pairs": [PAIR, PAIR]}]),
     "grid.yaml": (grid, [GRID]),
+    "weights.json": (weights, [{"file": "a.pth", "kind": "ResNet-18", "sha256": WHOLE}]),
+    "poses.json": (poses, [{"config": {"seed": 3}, "poses": [POSE, POSE]}]),
+    "runs.json": (records, [[RECORD, RECORD | {"run": 1, "name": "b"}]]),
+    "results": (results, [ROW | {"run": 0}, ROW | {"run": 0, "pair": 1}]),
 }
 """A reader, and what is in a healthy file: one object, or one a line."""
-
-
-def written(objects):
-    return "".join(json.dumps(content) + "\n" for content in objects)
-
-
-def places(value, path=()):
-    """Where a value has parts."""
-    yield path
-    parts = value.items() if isinstance(value, dict) else ()
-    parts = enumerate(value) if isinstance(value, list) else parts
-    for key, part in parts:
-        yield from places(part, (*path, key))
-
-
-def replaced(value, path, odd):
-    """A copy of a value with something else at a place."""
-    if not path:
-        return odd
-    copy = dict(value) if isinstance(value, dict) else list(value)
-    copy[path[0]] = replaced(value[path[0]], path[1:], odd)
-    return copy
-
-
-def odd_texts(objects):
-    """A file's text with odd values at places that are drawn, and other texts instead of it."""
-    drawn = random.Random(0)
-    every = [place for place in places(objects) if place]
-    for _ in range(COUNT):
-        yield written(replaced(objects, drawn.choice(every), drawn.choice(ODD)))
-    yield from TEXTS
-
-
-def flipped(content):
-    drawn = random.Random(1)
-    for _ in range(COUNT):
-        damaged = bytearray(content)
-        damaged[drawn.randrange(len(content))] ^= 1 << drawn.randrange(8)
-        yield bytes(damaged)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -190,10 +171,10 @@ def test_values_of_another_kind_are_refused_under_a_right_seal(run):
     manifest = json.loads(path.read_text())
     del manifest["sha256"]
     drawn, refused = random.Random(2), 0
-    every = [p for p in places(manifest) if p and len(p) < 4]
+    all_places = [p for p in places(manifest) if p and len(p) < 4]
     for _ in range(COUNT):
         path.write_text(
-            json.dumps(seal(replaced(manifest, drawn.choice(every), drawn.choice(ODD))))
+            json.dumps(seal(replaced(manifest, drawn.choice(all_places), drawn.choice(ODD))))
         )
         try:
             read_all(checkpoint)
@@ -207,6 +188,7 @@ BROKEN = {
     "metrics.jsonl": "metrics",
     "eval/rows.jsonl": "evaluation",
     "env.txt": "environment",
+    "weights.json": "weights",
     "checkpoints/2/files.json": "checkpoints",
     "checkpoints/2/manifest/metadata": "checkpoints",
 }
@@ -215,6 +197,7 @@ BROKEN = {
 @pytest.mark.parametrize("file", BROKEN)
 def test_the_doctor_tells_what_is_broken(run, file):
     path = run / file
+    (run / "weights.json").write_text('{"file": "a.pth", "kind": null, "sha256": "0123"}')
     for text in [*TEXTS, '{"step": "x"}\n', '{"dataset": "\\ud800"}', '{"\\ud800": 1}', "\udcff"]:
         path.write_bytes(text.encode("utf-8", "surrogateescape") + b"\n")
         for finding in check_run(run):

@@ -7,7 +7,6 @@ import dataclasses
 from importlib import import_module
 
 import pytest
-from rights import no_rights
 from running import exit_code
 
 from jaxcam.__main__ import NAMES
@@ -195,20 +194,3 @@ def test_an_engine_that_cannot_step_the_task_is_told_before_anything_is_made(
     assert exit_code("train", "--task", task, "--engine", engine) == 2
     assert "cannot step this task's world" in " ".join(capsys.readouterr().err.split())
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("name", sorted(POSITIONAL))
-def test_no_rights(name, tmp_path, capsys):
-    for file in ("file", "folder/config.json", "folder/rows.jsonl"):
-        path = tmp_path / file
-        path.parent.mkdir(exist_ok=True)
-        path.write_text("{}")
-    tmp_path.chmod(0o755)
-    (tmp_path / "file").chmod(0)
-    (tmp_path / "folder").chmod(0)
-    places = [tmp_path / "file", tmp_path / "folder"]
-    import_module(import_module(f"jaxcam.{name}").COMMAND.main.partition(":")[0])
-    with no_rights():
-        for place in places:
-            printed = ends(capsys, name, *[place] * POSITIONAL[name])
-            assert "cannot be loaded" not in printed

@@ -45,7 +45,7 @@ GRIPPER_TURNED = np.array([1, 1, 1, 1, 1, 1, -1])
 """What an action is multiplied by to open where it closed."""
 
 
-def read(path: Path) -> tuple[Demos | None, list[Finding]]:
+def check_file(path: Path) -> tuple[Demos | None, list[Finding]]:
     """Reads a file; if it cannot be used, says all that is wrong with its demonstrations."""
     try:
         demos = read_demos(path)

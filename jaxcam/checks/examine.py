@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 
 from rich.console import Console
 
-from jaxcam.checks.dataset import check_content, check_physics, read
+from jaxcam.checks.dataset import check_content, check_file, check_physics
 from jaxcam.checks.findings import bad, note, show, worst
 from jaxcam.checks.machine import check_env
 from jaxcam.checks.numbers import statistics
@@ -34,7 +34,7 @@ def check_dataset(path: Path, count: int, console: Console | None = None) -> Rep
         count: Demonstrations that are replayed, drawn and compared with cached pictures.
         console: For progress; silent when None.
     """
-    demos, findings = read(path)
+    demos, findings = check_file(path)
     if demos is None:
         return Report(path.name, "It cannot be used.", findings)
     task, scene = demos.task, demos.world
@@ -115,6 +115,8 @@ def main(config: CheckConfig, console: Console) -> int:
         console.print("The first four are all that the MuJoCo tasks need.")
     else:
         page = _page(config)
+        if page.suffix == ".png":
+            raise ConfigError(f"{page}: a page is no picture. Choose an --out that ends in .html.")
         check_free(page, (absolute(config.target),))
         if not page.exists() and (overlays := page.with_suffix(".png")).exists():
             raise ConfigError(
@@ -124,9 +126,7 @@ def main(config: CheckConfig, console: Console) -> int:
         findings = report.findings
         show(findings, console)
         try:
-            console.print(f"Page: {write_page(report, page)}", soft_wrap=True, markup=False)
+            console.print(f"Page: {write_page(report, page)}", soft_wrap=True)
         except OSError as error:
-            console.print(
-                f"The page cannot be written ({error}): choose another --out.", markup=False
-            )
+            console.print(f"The page cannot be written ({error}): choose another --out.")
     return int(worst(findings) == "bad")

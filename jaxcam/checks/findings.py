@@ -66,14 +66,14 @@ def show(findings: Sequence[Finding], console: Console) -> None:
         got = finding.got
         if finding.expected and finding.mark != "good":
             got += f"\nexpected: {finding.expected}"
-        table.add_row(Text(named(finding)), mark, Text(got))
+        table.add_row(named(finding), mark, got)
     console.print(table)
     fixes: dict[str, list[str]] = {}
     for finding in findings:
         fixes.setdefault(finding.fix, []).append(finding.what)
     for fix, names in fixes.items():
         if fix:
-            console.print(Text(f"{', '.join(dict.fromkeys(names))}: {fix}"), soft_wrap=True)
+            console.print(f"{', '.join(dict.fromkeys(names))}: {fix}", soft_wrap=True)
 
 
 def named(finding: Finding) -> str:

@@ -17,6 +17,7 @@ import jax
 from jaxcam.checks.findings import Finding, bad, good, note
 from jaxcam.config.names import TaskName
 from jaxcam.errors import SimError
+from jaxcam.files.paths import home
 from jaxcam.sim import make_task
 from jaxcam.sim.maniskill import machine
 from jaxcam.sim.maniskill.pool import pool_of
@@ -88,7 +89,7 @@ def check_host() -> Finding:
 
 def _caches() -> Path:
     """Where compiled kernels of Warp go."""
-    return Path(os.environ.get("WARP_CACHE_PATH") or Path.home() / ".cache")
+    return Path(os.environ.get("WARP_CACHE_PATH") or home("~/.cache"))
 
 
 def _unwritable(folder: Path) -> str:

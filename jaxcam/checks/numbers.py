@@ -21,7 +21,15 @@ TURN = 1.0
 """Change (rad) of the commanded rotation in a control step that no arm can follow."""
 ASTRAY = 0.2
 """Distance (m) between a command and where the grip is next that no controller leaves."""
-COMMAND = ("x (m)", "y (m)", "z (m)", "turn x (rad)", "turn y (rad)", "turn z (rad)", "gripper")
+COMMAND_PARTS = (
+    "x (m)",
+    "y (m)",
+    "z (m)",
+    "turn x (rad)",
+    "turn y (rad)",
+    "turn z (rad)",
+    "gripper",
+)
 """The numbers of a recorded action."""
 Spread = tuple[str, str, str, str]
 """A quantity with its least, middle and largest value, as people write them."""
@@ -93,7 +101,7 @@ def check_gripper(episodes: Sequence[Demo]) -> Finding:
 def check_constants(episodes: Sequence[Demo]) -> Finding:
     """Whether every number of the commanded poses varies over the dataset."""
     spread = np.ptp(np.concatenate([d.actions for d in episodes]), axis=0)
-    constant = [name for name, s in zip(COMMAND[:-1], spread[:-1], strict=True) if s <= STILL]
+    constant = [name for name, s in zip(COMMAND_PARTS[:-1], spread[:-1], strict=True) if s <= STILL]
     if not constant:
         return good("constant commands", got="none")
     fix = "Statistics have a floor, so nothing blows up; but a policy learns nothing of these."
@@ -161,8 +169,8 @@ def statistics(demos: Demos) -> list[Spread]:
     places = np.concatenate([d.eef_pos for d in episodes])
     quantities: list[tuple[str, np.ndarray]] = [
         ("control steps", np.array([d.length for d in episodes])),
-        *((f"command, {name}", x) for name, x in zip(COMMAND, actions.T, strict=True)),
-        *((f"grip, {name}", x) for name, x in zip(COMMAND[:3], places.T, strict=True)),
+        *((f"command, {name}", x) for name, x in zip(COMMAND_PARTS, actions.T, strict=True)),
+        *((f"grip, {name}", x) for name, x in zip(COMMAND_PARTS[:3], places.T, strict=True)),
         ("gripper's changes", np.array([_changes(d) for d in episodes])),
     ]
     quantities += camera_numbers(demos).items()

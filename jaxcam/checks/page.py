@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from jaxcam.checks.findings import Finding, named
 from jaxcam.data.demos import Demos
 from jaxcam.files.whole import whole, write_atomically
-from jaxcam.reports.camera_figures import camera_poses
+from jaxcam.reports.camera_figures import camera_places
 from jaxcam.reports.html import embedded, render
 from jaxcam.reports.style import BLUE, GREY, save, side_by_side, styled
 from jaxcam.sim.task import Task
@@ -35,19 +35,19 @@ class Report:
 
 def write_page(report: Report, path: Path) -> Path:
     """Writes a report as one HTML file that loads nothing, and its overlays as PNG beside it."""
+    overlays = []
     with TemporaryDirectory() as folder:
         figures = [
             embedded(save(figure, Path(folder) / f"{i}.png"), caption, wide=True)
             for i, (caption, figure) in enumerate(report.figures.items())
         ]
-    overlays = []
-    if report.overlays is not None:
-        file = write_png(path.with_suffix(".png"), report.overlays)
-        caption = (
-            "What cameras see, with the axes of grip and table (x red, y green, z blue) and the "
-            "way of the grip (yellow) drawn where the cameras' numbers have them."
-        )
-        overlays = [embedded(file, caption, wide=True)]
+        if report.overlays is not None:
+            file = write_png(Path(folder) / "overlays.png", report.overlays)
+            caption = (
+                "What cameras see, with the axes of grip and table (x red, y green, z blue) and "
+                "the way of the grip (yellow) drawn where the cameras' numbers have them."
+            )
+            overlays = [embedded(file, caption, wide=True)]
     content = render(
         "check.html",
         report.title,
@@ -59,7 +59,9 @@ def write_page(report: Report, path: Path) -> Path:
         figures=figures,
         numbers=report.numbers,
     )
-    write_atomically(path, content)
+    write_atomically(path, content)  # first: by it one knows whose picture is beside it
+    if report.overlays is not None:
+        write_png(path.with_suffix(".png"), report.overlays)
     return path
 
 
@@ -80,7 +82,7 @@ def draw_figures(demos: Demos, task: Task) -> dict[str, Figure]:
     return {
         "Lengths of the demonstrations, and the ways of the grip from above.": _ways(demos),
         "Cameras of the training demonstrations and of the validation ones (held out).": (
-            camera_poses(poses[used], poses[held], task.cameras.centre)
+            camera_places(poses[used], poses[held], task.cameras.centre)
         ),
     }
 

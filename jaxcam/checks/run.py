@@ -17,10 +17,10 @@ from jaxcam.console.words import some
 from jaxcam.data.collection import dataset_path
 from jaxcam.data.demos import read_demos
 from jaxcam.errors import JaxcamError
-from jaxcam.files.paths import absolute, home
+from jaxcam.files.paths import absolute, home, read_text
 from jaxcam.runs.environment import environment
 from jaxcam.runs.identity import stored_config, unlike
-from jaxcam.runs.manifests import DamagedError
+from jaxcam.runs.manifests import DamagedError, starting_weights
 from jaxcam.runs.metrics import read_metrics
 from jaxcam.training.checkpoint import checkpoint_steps
 from jaxcam.training.digests import read_all
@@ -71,6 +71,7 @@ def check_run(folder: Path, console: Console | None = None) -> Iterator[Finding]
         "configuration": lambda: _misfits(config, checkpoints),
         "checkpoints": lambda: _checkpoints(checkpoints),
         "set aside": lambda: _set_aside(folder),
+        "weights": lambda: _weights(folder),
         "dataset": lambda: [_dataset(folder, config, checkpoints)],
         "metrics": lambda: [_metrics(folder)],
         "evaluation": lambda: check_evaluations(folder, config.pairs),
@@ -153,6 +154,13 @@ def _set_aside(folder: Path) -> Iterator[Finding]:
         )
 
 
+def _weights(folder: Path) -> Iterator[Finding]:
+    """A finding where the run started from weights."""
+    if record := starting_weights(folder):
+        kind = record.kind or "of an unknown kind"
+        yield good("weights", got=f"started from {kind}, {record.sha256[:8]}", where="weights.json")
+
+
 def _dataset(folder: Path, config: TrainConfig, checkpoints: Verified) -> Finding:
     """Whether the demonstrations are where the run found them, and still the same."""
     what = "dataset"
@@ -221,9 +229,7 @@ def _environment(folder: Path) -> Finding:
     if not file.is_file():
         return note(what, got="not written down", where="env.txt")
     then = dict(
-        line.split(" ", 1)
-        for line in file.read_text("utf-8", "replace").splitlines()
-        if " " in line
+        line.split(" ", 1) for line in read_text(file, "replace").splitlines() if " " in line
     )
     now = environment()
     changed = [f"{k} {v} → {now.get(k, 'gone')}" for k, v in then.items() if now.get(k) != v]

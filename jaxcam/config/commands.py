@@ -5,7 +5,7 @@ from typing import Annotated
 
 import tyro
 
-from jaxcam.config.fields import check_least, check_most, check_rotations, check_types
+from jaxcam.config.fields import check_least, check_most, check_rotation_form, check_types
 from jaxcam.config.flags import default
 from jaxcam.config.names import (
     ActionSpace,
@@ -114,6 +114,8 @@ class CheckConfig:
         check_most(self, 1_000_000, "episodes")
         if self.env and self.target:
             raise ConfigError("Give --env or something to check, not both.")
+        if self.env and self.out:
+            raise ConfigError("--env writes no page: leave out --out.")
         if not (self.env or self.target):
             raise ConfigError("Nothing to check. Name a dataset or a run's folder, or give --env.")
 
@@ -167,6 +169,17 @@ class WeightsConfig:
 
     def __post_init__(self) -> None:
         check_types(self)
-        check_rotations(self.action_space, self.rotations)
+        check_rotation_form(self.action_space, self.rotations)
         if self.export and self.run_dir:
             raise ConfigError("Give --export or --run-dir, not both.")
+        check_least(self, 0, "step")
+        _check_only_with(self, "export", "step")
+        _check_only_with(self, "run_dir", "task scene action_space rotations")
+
+
+def _check_only_with(config: WeightsConfig, flag: str, fields: str) -> None:
+    """Refuses settings that mean nothing without a flag: they would be forgotten without a word."""
+    for field in fields.split():
+        if not getattr(config, flag) and getattr(config, field) != getattr(WeightsConfig, field):
+            names = (f"--{name.replace('_', '-')}" for name in (field, flag))
+            raise ConfigError("{} goes with {} only.".format(*names))

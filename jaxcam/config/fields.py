@@ -15,7 +15,7 @@ from jaxcam.config.names import names_of
 from jaxcam.errors import ConfigError, closest
 
 
-class Settings(Protocol):
+class SettingsRecord(Protocol):
     """Any record of settings: a dataclass."""
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
@@ -23,10 +23,10 @@ class Settings(Protocol):
 
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = 100
-C = TypeVar("C", bound=Settings)
+C = TypeVar("C", bound=SettingsRecord)
 
 
-def to_json(config: Settings) -> str:
+def to_json(config: SettingsRecord) -> str:
     """A config as JSON text that `from_json` turns back into an equal config."""
     return json.dumps(dataclasses.asdict(config), indent=2) + "\n"
 
@@ -80,9 +80,10 @@ def as_record(kind: type[C], values: Any, what: str = "configuration") -> C:
         for name, value in values.items()
         if isinstance(value, list) and list not in _kinds(hints[name])
     }
-    record = kind(**values | tuples)
-    check_types(record, where=f"{what}: " if what != "configuration" else "")
-    return record
+    values = values | tuples
+    for name, value in values.items():  # before the record's own checks compute with them
+        check_value(f"{what}: " if what != "configuration" else "", name, value, hints[name])
+    return kind(**values)
 
 
 def short(value: Any) -> str:
@@ -133,11 +134,11 @@ def with_overrides(settings: C, pairs: Iterable[str]) -> C:
     # Types first: the settings' own checks compute with them.
     hints = typing.get_type_hints(type(settings))
     for name, value in values.items():
-        _check_type("model: ", name, value, hints[name])
+        check_value("model: ", name, value, hints[name])
     return dataclasses.replace(settings, **values)
 
 
-def check_types(config: Settings, where: str = "") -> None:
+def check_types(config: SettingsRecord, where: str = "") -> None:
     """Refuses values whose type is not the annotated one, and names that are unknown.
 
     Numbers are finite and have at most 64 bits, and texts could be paths.
@@ -151,10 +152,21 @@ def check_types(config: Settings, where: str = "") -> None:
     """
     for field, hint in typing.get_type_hints(type(config)).items():
         if typing.get_origin(hint) is not ClassVar:
-            _check_type(where, field, getattr(config, field), hint)
+            check_value(where, field, getattr(config, field), hint)
 
 
-def _check_type(where: str, field: str, value: Any, hint: Any) -> None:
+def check_value(where: str, field: str, value: Any, hint: Any) -> None:
+    """Refuses a value whose type is not the annotated one, see `check_types`.
+
+    Args:
+        where: Start of the message.
+        field: Its name.
+        value: The value.
+        hint: Its annotation.
+
+    Raises:
+        ConfigError: It is of another type.
+    """
     kinds = _kinds(hint)
     is_number = type(value) is int and float in kinds
     if object not in kinds and type(value) not in kinds and not is_number:
@@ -167,7 +179,7 @@ def _check_type(where: str, field: str, value: Any, hint: Any) -> None:
     if type(value) is str and not _can_be_name(value):
         raise ConfigError(f"{where}{field} has what no file's name can: {short(value)}.")
     for part_hint, part in _parts(f"{where}{field}", hint, value):
-        _check_type(where, field, part, part_hint)
+        check_value(where, field, part, part_hint)
     if not isinstance(value, tuple | list | dict) and (names := names_of(hint)):
         _check_names(f"{where}Unknown {field}", value, names)
 
@@ -211,7 +223,9 @@ def _check_names(what: str, value: Any, names: tuple[str, ...]) -> None:
         raise ConfigError(f"{what} {short(value)}{closest(str(value), names)}.")
 
 
-def check_least(config: Settings, least: float, fields: str, *, or_equal: bool = True) -> None:
+def check_least(
+    config: SettingsRecord, least: float, fields: str, *, or_equal: bool = True
+) -> None:
     """Refuses settings below (or, without `or_equal`, at) a bound."""
     for field in fields.split():
         value = getattr(config, field)
@@ -222,13 +236,13 @@ def check_least(config: Settings, least: float, fields: str, *, or_equal: bool =
             raise ConfigError(f"{field} must be {bound} {least}, got {value}.")
 
 
-def check_rotations(action_space: str, rotations: str) -> None:
+def check_rotation_form(action_space: str, rotations: str) -> None:
     """Refuses rotations that the actions do not have."""
     if rotations != "nominal" and action_space != "eef_abs":
         raise ConfigError(f"rotations is for action_space eef_abs, not {action_space}.")
 
 
-def check_most(config: Settings, most: float, fields: str) -> None:
+def check_most(config: SettingsRecord, most: float, fields: str) -> None:
     """Refuses settings above a bound."""
     for field in fields.split():
         value = getattr(config, field)

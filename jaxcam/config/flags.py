@@ -3,6 +3,8 @@
 Attribute docstrings are what `--help` prints. Nothing here imports JAX, so help is fast.
 """
 
+import sys
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, cast, get_origin
 
@@ -11,7 +13,7 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 
 from jaxcam.config.fields import C
 from jaxcam.config.names import names_of
-from jaxcam.errors import closest
+from jaxcam.errors import ConfigError, closest
 
 T = TypeVar("T")
 
@@ -48,7 +50,16 @@ def parse(kind: type[C], argv: Sequence[str] | None = None, prog: str | None = N
         kind: Record of settings.
         argv: Flags; those of the process when None.
         prog: The command as it was typed, for `--help`.
+
+    Raises:
+        ConfigError: A flag is given twice: the first one would be forgotten without a word.
     """
+    words = list(sys.argv[1:] if argv is None else argv)
+    words = words[: words.index("--")] if "--" in words else words
+    names = [word.partition("=")[0].replace("_", "-") for word in words if word.startswith("--")]
+    given = Counter(f"--{name.removeprefix('--').removeprefix('no-')}" for name in names)
+    if twice := [name for name, times in given.items() if times > 1]:
+        raise ConfigError(f"{twice[0]} is given twice. Give it once, with all its values.")
     return tyro.cli(kind, args=argv, prog=prog, registry=_REGISTRY)
 
 

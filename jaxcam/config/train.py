@@ -12,7 +12,7 @@ import tyro
 from jaxcam.config.fields import (
     check_least,
     check_most,
-    check_rotations,
+    check_rotation_form,
     check_seeds,
     check_types,
     check_window,
@@ -166,7 +166,7 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         check_types(self)
-        check_rotations(self.action_space, self.rotations)
+        check_rotation_form(self.action_space, self.rotations)
         check_least(self, 1, "views steps batch n demos pairs keep log_every eval_every")
         check_least(self, 1, "save_every steps_per_call accumulate")
         check_least(self, 0, "warmup weight_decay m validation ema ema_power clip_norm")

@@ -15,14 +15,13 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
-from rich.console import Console
 from rich.logging import RichHandler
 from rich.panel import Panel
-from rich.text import Text
 
 from jaxcam.config.flags import parse
-from jaxcam.errors import JaxcamError, MachineError
-from jaxcam.interrupts import Interrupt, Stopped, interrupts
+from jaxcam.console.terminal import PlainFormatter, Terminal
+from jaxcam.errors import ConfigError, JaxcamError, MachineError
+from jaxcam.interrupts import Interrupt, Stopped, ends_at_once, interrupts
 
 _ADVICE = {
     errno.EACCES: "Get permission, or choose another place",
@@ -40,7 +39,7 @@ _ADVICE = {
 
 
 @dataclass(frozen=True)
-class Command:
+class CommandLine:
     """One command of jaxcam.
 
     Attributes:
@@ -57,7 +56,8 @@ class Command:
 
         A `JaxcamError` becomes a message and its exit code, and so does what the machine refuses:
         a file, room, rights, memory, a device. Other exceptions are bugs and keep their traceback.
-        The first Ctrl-C or SIGTERM asks the command to stop, see `jaxcam.interrupts`.
+        The first Ctrl-C or SIGTERM asks the command to stop, see `jaxcam.interrupts`; before it
+        has begun, it ends at once.
 
         Args:
             argv: Flags; those of the process when None.
@@ -71,20 +71,26 @@ class Command:
         for stream in (sys.stdout, sys.stderr):  # names of files may be no text
             if isinstance(stream, io.TextIOWrapper):
                 stream.reconfigure(errors="backslashreplace")
-        with interrupts() as stop:
-            with reader_may_leave():
+        try:
+            with ends_at_once(), reader_may_leave():
                 config: Any = parse(self.settings, argv, prog)
-            console = Console()
-            logging.basicConfig(
-                level=logging.WARNING, format="%(message)s", handlers=[RichHandler(console=console)]
-            )
-            sys.exit(self._main(config, console, stop))
+        except ConfigError as error:
+            sys.exit(print_error(error))
+        console = Terminal()
+        handler = RichHandler(console=console)
+        handler.setFormatter(PlainFormatter("%(message)s"))
+        logging.basicConfig(level=logging.WARNING, handlers=[handler])
+        sys.exit(self._main(config, console))
 
-    def _main(self, config: Any, console: Console, stop: Interrupt) -> int | None:
+    def _main(self, config: Any, console: Terminal) -> int | None:
         """Runs what the settings ask for; the process's exit code."""
         module, _, function = self.main.partition(":")
+        stop = Interrupt()
         try:
-            return getattr(import_module(module), function)(config, console)
+            with ends_at_once():
+                main = getattr(import_module(module), function)
+            with interrupts() as stop:
+                return main(config, console)
         except KeyboardInterrupt as error:
             return _stopped(error.exit_code if isinstance(error, Stopped) else 130)
         except Exception as error:
@@ -153,8 +159,6 @@ def print_error(error: JaxcamError) -> int:
     Returns:
         The process's exit code.
     """
-    # Text, not str: "[0]" in a message is an index, not rich markup.
-    panel = Panel(Text(str(error)), title=type(error).__name__, title_align="left",
-                  border_style="red")  # fmt: skip
-    Console(stderr=True).print(panel)
+    panel = Panel(str(error), title=type(error).__name__, title_align="left", border_style="red")
+    Terminal(stderr=True).print(panel)
     return error.exit_code

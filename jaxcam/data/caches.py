@@ -15,6 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from jaxcam.errors import DatasetError
+from jaxcam.files.paths import read_bytes, regular
+from jaxcam.files.whole import whole
 
 PICTURES_AT_ONCE = 512
 """Pictures that are drawn, kept and verified together."""
@@ -171,7 +173,7 @@ class Cache:
         if not self.file.exists():
             return None
         try:
-            rgb = np.load(self.file, mmap_mode="r")
+            rgb = np.load(regular(self.file), mmap_mode="r")
             content = f"{rgb.dtype} {list(rgb.shape)}"
         except (OSError, ValueError, EOFError) as error:
             size = self.file.stat().st_size
@@ -202,24 +204,19 @@ def _sums(pictures: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 def _read(path: Path, dtype: np.dtype, count: int) -> np.ndarray:
     """Numbers of a file; 0 where it has none, and for all if it has too many."""
-    read = np.fromfile(path, dtype) if path.exists() else np.zeros(0, dtype)
     numbers = np.zeros(count, dtype)
-    if len(read) <= count:
+    if path.exists() and path.stat().st_size <= numbers.nbytes:
+        content = read_bytes(path, numbers.nbytes)
+        read = np.frombuffer(content, dtype, len(content) // numbers.itemsize)
         numbers[: len(read)] = read
     return numbers
 
 
 def _write(path: Path, numbers: np.ndarray) -> None:
-    new = path.with_name(f"{path.name}.{os.getpid()}")
-    try:
-        with open(new, "wb") as file:
-            file.write(numbers.tobytes())
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(new, path)
-    except OSError:
-        new.unlink(missing_ok=True)
-        raise
+    with whole(path) as part, open(part, "wb") as file:
+        file.write(numbers.tobytes())
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def _write_part(path: Path, numbers: np.ndarray, rows: np.ndarray) -> None:

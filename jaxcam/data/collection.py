@@ -17,6 +17,7 @@ from jaxcam.data.writer import DemoWriter
 from jaxcam.errors import SimError
 from jaxcam.files.locks import exclusive
 from jaxcam.files.paths import home
+from jaxcam.interrupts import check_stop
 from jaxcam.rays import sample_poses, stair, stair_cameras
 from jaxcam.rays.rotations import rotvec_from_matrix
 from jaxcam.sim import make_engine, make_task, simulator_of
@@ -160,6 +161,7 @@ def run_expert(task: Task, scene: World, engine: Engine, seeds: list[int]) -> li
     commands: list[np.ndarray] = []
     lengths = np.full(len(seeds), task.horizon)
     while len(commands) < task.horizon:
+        check_stop()
         aims = [next(expert, None) for expert in experts]
         for i, aim in enumerate(aims):
             if aim is None:

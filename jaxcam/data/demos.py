@@ -39,7 +39,7 @@ from jaxcam.data.contents import (
     check_starts,
     seal_of_all,
 )
-from jaxcam.data.hdf5 import Format, format_of, open_hdf5, whole
+from jaxcam.data.hdf5 import Format, format_of, open_hdf5, reading
 from jaxcam.errors import DatasetError
 from jaxcam.rays import ROTATION_TOLERANCE
 from jaxcam.rays.rotations import (
@@ -221,10 +221,10 @@ def read_demos(path: Path, *, task: str | None = None, scene: str | None = None)
     """
     with _open(path) as file:
         header = _read_header(path, file)
-        for name, wanted, found in (("task", task, header.task), ("scene", scene, header.scene)):
-            if wanted is not None and wanted != found:
+        for name, wanted, stored in (("task", task, header.task), ("scene", scene, header.scene)):
+            if wanted is not None and wanted != stored:
                 raise DatasetError(
-                    f"{path}: dataset of {name} {found!r}, but {wanted!r} was asked. Point "
+                    f"{path}: dataset of {name} {stored!r}, but {wanted!r} was asked. Point "
                     "--data-dir elsewhere or collect that one: python -m jaxcam.collect "
                     f"--task {task or header.task} --scene {scene or header.scene}"
                 )
@@ -313,20 +313,20 @@ def faults_of(path: Path) -> list[DatasetError]:
 @contextlib.contextmanager
 def _open(path: Path) -> Iterator[h5py.File]:
     missing = "no such dataset. Make it with: python -m jaxcam.collect"
-    with open_hdf5(path, missing=missing, remedy=REMEDY) as file, whole(path, REMEDY):
+    with open_hdf5(path, missing=missing, remedy=REMEDY) as file, reading(path, REMEDY):
         yield file
 
 
 def _read_header(path: Path, file: h5py.File) -> Header:
     try:
         about = json.loads(str(file["data"].attrs["jaxcam"]))
-        found = about["format"]
+        version = about["format"]
     except (KeyError, TypeError, ValueError) as error:
         raise DatasetError(
             f"{path}: no jaxcam header; found {sorted(file)}. {_whose(path, file)}"
         ) from error
-    if found != FORMAT:
-        raise DatasetError(f"{path}: format {found}, but this jaxcam reads {FORMAT}.")
+    if version != FORMAT:
+        raise DatasetError(f"{path}: format {version}, but this jaxcam reads {FORMAT}.")
     if "cameras/world_from_camera" not in file:
         raise DatasetError(f"{path}: no cameras (dataset 'cameras/world_from_camera' is missing).")
     poses = _array(str(path), file, "cameras/world_from_camera")

@@ -51,17 +51,17 @@ def require_file(path: Path, missing: str = "no such file.") -> None:
         DatasetError: Naming what is there instead.
     """
     try:
-        found = path.stat()
+        status = path.stat()
     except (FileNotFoundError, NotADirectoryError) as error:
         raise DatasetError(f"{path}: {missing}") from error
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise DatasetError(f"{path}: cannot be opened: {reason}.") from error
-    if stat.S_ISDIR(found.st_mode):
+    if stat.S_ISDIR(status.st_mode):
         raise DatasetError(f"{path}: a folder; expected a file.")
-    if not stat.S_ISREG(found.st_mode):
+    if not stat.S_ISREG(status.st_mode):
         raise DatasetError(f"{path}: a pipe, socket or device; expected a file.")
-    if not found.st_size:
+    if not status.st_size:
         raise DatasetError(f"{path}: an empty file (0 bytes). Copy or make it anew.")
 
 
@@ -78,7 +78,7 @@ def open_hdf5(path: Path, *, missing: str = "no such file.", remedy: str) -> h5p
             files, or is of our layout and declares more than such a file can hold.
     """
     require_file(path, missing)
-    with whole(path, remedy):
+    with reading(path, remedy):
         file = h5py.File(path, "r")
         try:
             arrays = _check_parts(path, file)
@@ -179,10 +179,10 @@ def group_at(group: h5py.Group, name: str) -> h5py.Group:
     Raises:
         DatasetError: There is none, or something else.
     """
-    found = group.get(name)
-    if not isinstance(found, h5py.Group):
-        raise _not_there(group, name, "group", found)
-    return found
+    item = group.get(name)
+    if not isinstance(item, h5py.Group):
+        raise _not_there(group, name, "group", item)
+    return item
 
 
 def array_at(group: h5py.Group, name: str) -> h5py.Dataset:
@@ -191,16 +191,16 @@ def array_at(group: h5py.Group, name: str) -> h5py.Dataset:
     Raises:
         DatasetError: There is none, something else, or it declares more than can be read.
     """
-    found = group.get(name)
-    if not isinstance(found, h5py.Dataset):
-        raise _not_there(group, name, "dataset", found)
-    if (size := _bytes_of(found.id)) > LARGEST_ARRAY:
+    item = group.get(name)
+    if not isinstance(item, h5py.Dataset):
+        raise _not_there(group, name, "dataset", item)
+    if (size := _bytes_of(item.id)) > LARGEST_ARRAY:
         raise DatasetError(
-            f"{_where(group, name)}: declares {size / 1e6:.0f} MB (shape {list(found.shape)}); at "
+            f"{_where(group, name)}: declares {size / 1e6:.0f} MB (shape {list(item.shape)}); at "
             f"most {LARGEST_ARRAY / 1e6:.0f} MB are read of one array."
         )
-    _check_chunks(found.id, _where(group, name))
-    return found
+    _check_chunks(item.id, _where(group, name))
+    return item
 
 
 def numbers(group: h5py.Group, name: str) -> np.ndarray:
@@ -215,7 +215,7 @@ def numbers(group: h5py.Group, name: str) -> np.ndarray:
     return np.asarray(array[()], np.float64)
 
 
-def names(group: h5py.Group, name: str, most: int) -> list[str]:
+def names_at(group: h5py.Group, name: str, most: int) -> list[str]:
     """A dataset that lists names.
 
     Args:
@@ -261,8 +261,8 @@ def text(group: h5py.Group, name: str) -> str:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
 
 
-def _not_there(group: h5py.Group, name: str, kind: str, found: object) -> DatasetError:
-    if found is None:
+def _not_there(group: h5py.Group, name: str, kind: str, item: object) -> DatasetError:
+    if item is None:
         return DatasetError(f"{_where(group)}: no {name!r}.")
     return DatasetError(f"{_where(group, name)}: no {kind}.")
 
@@ -274,7 +274,7 @@ def _where(group: h5py.Group, name: str = "") -> str:
 
 
 @contextlib.contextmanager
-def whole(path: Path, remedy: str, part: str = "") -> Iterator[None]:
+def reading(path: Path, remedy: str, part: str = "") -> Iterator[None]:
     """Turns what HDF5's library raises on damage into one error; for all that reads a file.
 
     Args:

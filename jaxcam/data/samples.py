@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from jaxcam.data.demos import Demos
+from jaxcam.errors import DatasetError
 
 Sample = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Demonstrations [B], time steps [B] and cameras [B, V] of some samples."""
@@ -92,8 +93,21 @@ class Samples:
         lengths = self.layout.lengths[self.train :]
         demos = np.arange(self.train, self.train + len(lengths)).repeat(per_demo)
         t = np.concatenate([np.linspace(0, n - 1, per_demo).astype(int) for n in lengths])
-        cameras = np.tile(np.arange(views) % self.layout.cameras[-1], (len(demos), 1))
-        return demos, t, cameras
+        return demos, t, np.arange(views) % self.layout.cameras[demos, None]
+
+    def check_views(self, views: int) -> None:
+        """Refuses to train on demonstrations that fewer cameras see than a sample has views.
+
+        Raises:
+            DatasetError: Naming the first one.
+        """
+        shown = self.layout.cameras[: self.train]
+        if few := np.flatnonzero(shown < views).tolist():
+            raise DatasetError(
+                f"demo_{few[0]} of the dataset is seen by {shown[few[0]]} of the {views} cameras "
+                f"that a sample shows (--views); {len(few)} of {self.train} demonstrations are. "
+                "Choose fewer views, or leave them out."
+            )
 
     def wanted(
         self, seeds: Iterable[int], steps: int, batch: int, views: int, obs_steps: int
@@ -108,7 +122,7 @@ class Samples:
             obs_steps: Observations a sample.
 
         Returns:
-            bool [pictures]; None when they are more than half of all.
+            Bool [pictures]; None when they are more than half of all.
         """
         wanted = np.zeros(self.layout.total, bool)
         if self.train < len(self.layout.lengths):

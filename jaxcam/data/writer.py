@@ -54,11 +54,18 @@ def discard(path: Path) -> None:
 
     Args:
         path: Of the dataset.
+
+    Raises:
+        DatasetError: A file in the place of an unfinished dataset is none, or another process
+            writes it.
     """
     part = unfinished(path)
     for old in (_old(part), part):
         if old.is_file():
+            _unfinished_of_0_1(old)
             old.unlink()
+    if who := NamedLock(part / LOCK).held_by():
+        raise DatasetError(f"{part}: in use by another process ({who}). Wait for it to finish.")
     if part.is_dir():
         for file in part.iterdir():
             if _OURS.fullmatch(file.name):
@@ -146,7 +153,7 @@ class DemoWriter:
         read_demos(whole)
         os.replace(whole, self.path)
         self._lock.free()
-        with contextlib.suppress(OSError):  # the dataset is complete all the same
+        with contextlib.suppress(OSError, DatasetError):  # the dataset is complete all the same
             discard(self.path)
         return self.path
 

@@ -78,9 +78,8 @@ def _conclude(
             f"{folder.name}: success on {config.pairs} {config.split} pairs at {what}: "
             f"{success_rate(rows)}",
             soft_wrap=True,
-            markup=False,
         )
-        console.print(f"Report: {report}", soft_wrap=True, markup=False)
+        console.print(f"Report: {report}", soft_wrap=True)
 
 
 def steps_to_judge(folder: Path, trained: TrainConfig) -> tuple[list[int], list[str]]:
@@ -132,7 +131,7 @@ def evaluate_runs(config: EvaluateConfig, console: Console | None = None) -> Non
             if len(config.run) == 1:
                 raise
             if console:
-                console.print(f"{run}: {error}", style="red", soft_wrap=True, markup=False)
+                console.print(f"{run}: {error}", style="red", soft_wrap=True)
             errors.append(error)
     if errors:
         raise errors[0]

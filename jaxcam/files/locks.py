@@ -5,6 +5,7 @@ The kernel frees a lock when its holder ends, even by `kill -9`. The lock's file
 
 import contextlib
 import datetime
+import errno
 import fcntl
 import os
 import socket
@@ -15,6 +16,7 @@ from filelock import FileLock, Timeout
 from rich.console import Console
 
 from jaxcam.errors import DatasetError, JaxcamError
+from jaxcam.files.paths import regular
 from jaxcam.interrupts import check_stop
 
 
@@ -36,7 +38,7 @@ def exclusive(path: Path, console: Console | None = None) -> Iterator[None]:
             lock.acquire(blocking=False)
         except Timeout:
             if console:
-                console.print(f"Waiting for the process that is making {path.name}.", markup=False)
+                console.print(f"Waiting for the process that is making {path.name}.")
             while not _acquired(lock):
                 check_stop()
     except OSError as error:
@@ -81,7 +83,7 @@ class NamedLock:
 
         Raises:
             InUseError: Another holds it.
-            OSError: The file cannot be made or locked.
+            OSError: The file cannot be made or locked, or is something else than a lock.
         """
         try:
             self._lock.acquire(blocking=False)
@@ -90,6 +92,8 @@ class NamedLock:
         now = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
         try:
             before = self._holder()
+            if before and not before.startswith("pid "):
+                raise OSError(errno.EEXIST, "a file that is no lock of ours", str(self._path))
             me = f"pid {os.getpid()} on {socket.gethostname()} since {now}\n"
             self._path.write_text(me, "utf-8")
         except OSError:
@@ -100,7 +104,7 @@ class NamedLock:
     def held_by(self) -> str:
         """What its holder says of itself; empty if nobody holds it. The lock stays as it is."""
         try:
-            with open(self._path, "rb") as file:
+            with open(regular(self._path), "rb") as file:
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:
             return self._holder() or "a process just starting"
@@ -116,7 +120,8 @@ class NamedLock:
             self._lock.release()
 
     def _holder(self) -> str:
-        return self._path.read_text("utf-8", errors="replace")[:1000].strip()
+        with open(regular(self._path), "rb") as file:
+            return file.read(1000).decode(errors="replace").strip()
 
 
 def _acquired(lock: FileLock) -> bool:

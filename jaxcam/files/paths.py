@@ -4,9 +4,18 @@ import errno
 import os
 from pathlib import Path
 
+from jaxcam.errors import ConfigError
+
 
 def home(path: str | Path) -> Path:
-    """The path with the user's home for `~`; one of a user whom nobody knows stays as it is."""
+    """The path with the user's home for `~`; one of a user whom nobody knows stays as it is.
+
+    Raises:
+        ConfigError: It is empty, as a variable of a shell is that was never set: nobody who gives
+            that means the working directory.
+    """
+    if path == "":
+        raise ConfigError("A path is empty. Name a file or a folder; the one you are in is '.'.")
     return Path(os.path.expanduser(path))  # that of Path raises for such users
 
 
@@ -26,16 +35,49 @@ def inside(file: Path, folder: Path) -> bool:
     return file.resolve().is_relative_to(folder.resolve())
 
 
-def read_text(path: Path) -> str:
-    """The text of a regular file.
+LARGEST_TEXT = 1 << 25
+"""Bytes of a text that is read whole: what JSON says takes up to twenty times its size."""
 
-    Args:
-        path: Of the file.
+
+def regular(path: Path) -> Path:
+    """The path, unless something is there that is no file: a device or a pipe may never end.
 
     Raises:
-        OSError: There is none that can be read; a device or a pipe, which may never end, is none.
-        ValueError: It is not UTF-8.
+        OSError: It is such a thing, or leads to itself.
     """
     if path.exists() and not path.is_file():
         raise OSError(errno.EINVAL, "not a regular file", str(path))
-    return path.read_text("utf-8")
+    return path
+
+
+def read_bytes(path: Path, most: int = LARGEST_TEXT) -> bytes:
+    """The content of a regular file.
+
+    Args:
+        path: Of the file.
+        most: Bytes that it can have.
+
+    Raises:
+        OSError: There is none that can be read, or it is larger.
+    """
+    with open(regular(path), "rb") as file:
+        content = file.read(most + 1)
+    if len(content) > most:
+        size = path.stat().st_size
+        words = f"{size / 1e6:.0f} MB, but such a file has {most / 1e6:.0f} MB at most"
+        raise OSError(errno.EINVAL, words, str(path))
+    return content
+
+
+def read_text(path: Path, errors: str = "strict") -> str:
+    """The text of a regular file, see `read_bytes`.
+
+    Args:
+        path: Of the file.
+        errors: What becomes of bytes that are no UTF-8, as `bytes.decode` has it.
+
+    Raises:
+        OSError: There is none that can be read.
+        ValueError: It is not UTF-8.
+    """
+    return read_bytes(path).decode("utf-8", errors)

@@ -96,9 +96,9 @@ class VideoFile:
     def add(self, pictures: np.ndarray) -> None:
         """Appends pictures, uint8 [T, H, W, 3], RGB."""
         for rgb in np.pad(pictures, self._even, mode="edge"):
-            frame = VideoFrame.from_ndarray(np.ascontiguousarray(rgb), format="rgb24")
-            frame = frame.reformat(format="yuv420p", dst_colorspace="ITU709")
-            self._container.mux(self._stream.encode(frame))
+            picture = VideoFrame.from_ndarray(np.ascontiguousarray(rgb), format="rgb24")
+            picture = picture.reformat(format="yuv420p", dst_colorspace="ITU709")
+            self._container.mux(self._stream.encode(picture))
         self.length += len(pictures)
 
 
@@ -139,7 +139,7 @@ def grid(
         hold: Pictures added at the end, so that the last outcome can be seen.
 
     Returns:
-        uint8 [T + hold, H', W', 3], T the length of the longest clip.
+        Uint8 [T + hold, H', W', 3], T the length of the longest clip.
     """
     if not videos:
         raise ValueError("need at least one clip, got none")

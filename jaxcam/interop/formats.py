@@ -6,7 +6,7 @@ from rich.console import Console
 
 from jaxcam.config.datasets import ManiskillConfig, RobomimicConfig
 from jaxcam.data.demos import REMEDY, Demos, read_demos
-from jaxcam.data.hdf5 import Format, format_of, open_hdf5, whole
+from jaxcam.data.hdf5 import Format, format_of, open_hdf5, reading
 from jaxcam.errors import DatasetError
 from jaxcam.interop import maniskill, robomimic
 
@@ -14,7 +14,7 @@ from jaxcam.interop import maniskill, robomimic
 def recognise(path: Path) -> Format:
     """Whose layout a file has; "unknown" too if it cannot be opened: `read` says why."""
     try:
-        with open_hdf5(path, remedy=REMEDY) as file, whole(path, REMEDY):
+        with open_hdf5(path, remedy=REMEDY) as file, reading(path, REMEDY):
             return format_of(file)
     except DatasetError:
         return "unknown"

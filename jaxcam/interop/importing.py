@@ -13,7 +13,7 @@ from jaxcam.config.datasets import CollectConfig, ImportConfig
 from jaxcam.config.names import TaskName
 from jaxcam.data.collection import camera_windows, new_header, with_stair
 from jaxcam.data.demos import Demo, Demos, read_demos
-from jaxcam.data.hdf5 import group_at, names
+from jaxcam.data.hdf5 import group_at, names_at
 from jaxcam.data.splits import NO_VALIDATION
 from jaxcam.data.writer import DemoWriter, discard
 from jaxcam.errors import DatasetError, closest
@@ -53,7 +53,7 @@ class Masks:
             raise DatasetError(
                 f"{self.path}: no filter key {key!r}{closest(key, self.group or [])}"
             )
-        members = set(names(self.group, key, len(self.everything)))
+        members = set(names_at(self.group, key, len(self.everything)))
         if strangers := sorted(members - set(self.everything)):
             raise DatasetError(
                 f"{self.path}: mask/{key} lists {strangers[0]!r}, which the file does not have. "
@@ -166,7 +166,10 @@ def write_dataset(
     )
     with exclusive(out, console):
         if out.exists():
-            raise DatasetError(f"{out} exists. Choose another --out, or delete it first.")
+            raise DatasetError(
+                f"{out} exists. Choose another --out, or delete it first; if this command was "
+                f"stopped after it was written, see what it is good for: jaxcam replay {out}"
+            )
         discard(out)  # perhaps of another file
         header = new_header(with_stair(like), task, task.scene(config.scene))
         header = replace(header, versions={**header.versions, "imported": about})

@@ -22,7 +22,7 @@ from jaxcam.data.splits import FIRST_SEED
 from jaxcam.errors import DatasetError
 from jaxcam.interop.importing import held_back, show_next, succeeds, write_dataset
 from jaxcam.interop.maniskill_files import (
-    check_sizes,
+    check_file_size,
     open_file,
     read_demo,
     read_source,
@@ -70,7 +70,7 @@ def import_trajectories(config: ManiskillConfig, console: Console | None = None)
         open_file(source.path) as file,
         progress(console, "reading", len(source.episodes)) as advance,
     ):
-        check_sizes(source, file)
+        check_file_size(source, file)
         for episode in source.episodes:
             name = episode.name
             demo = read_demo(source, file, name, episode.mode, FIRST_SEED + len(demos))
@@ -115,16 +115,16 @@ def run(
     Returns:
         Whether each demonstration succeeds in each space, bool [D] by name.
     """
-    found = import_trajectories(config, console)
-    data, total = found.demos, len(found.names) + len(found.dropped)
-    console.print(f"{data.path}: {len(found.names)} of {total} trajectories succeed.")
-    for name, why in found.dropped.items():
+    kept = import_trajectories(config, console)
+    data, total = kept.demos, len(kept.names) + len(kept.dropped)
+    console.print(f"{data.path}: {len(kept.names)} of {total} trajectories succeed.")
+    for name, why in kept.dropped.items():
         console.print(f"{name}: {why}")
     replayed = show_replayed(data, spaces, engine, console)
     for space, success in replayed.items():
         for i in np.flatnonzero(~success):
             why = _why_lost(data.episodes[i], space, data, engine)
-            console.print(f"{space}, {found.names[i]}: {why}")
+            console.print(f"{space}, {kept.names[i]}: {why}")
     show_next(data, any(success.any() for success in replayed.values()), console)
     return replayed
 
@@ -150,5 +150,5 @@ def _why_lost(demo: Demo, space: str, data: Demos, engine: str | None) -> str:
 
 def main(config: ManiskillConfig, console: Console) -> int:
     """Runs the command; its exit code."""
-    found = run(config, ACTION_SPACES, None, console)
-    return int(falls_short(found))
+    successes = run(config, ACTION_SPACES, None, console)
+    return int(falls_short(successes))

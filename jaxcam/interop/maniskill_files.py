@@ -25,8 +25,8 @@ from jaxcam.data.hdf5 import (
     group_at,
     numbers,
     open_hdf5,
+    reading,
     require_file,
-    whole,
 )
 from jaxcam.errors import DatasetError, JaxcamError, closest
 from jaxcam.files.paths import home
@@ -168,7 +168,7 @@ def open_file(path: Path) -> h5py.File:
     return open_hdf5(path, remedy=REMEDY)
 
 
-def check_sizes(source: TrajectoryFile, file: h5py.File) -> None:
+def check_file_size(source: TrajectoryFile, file: h5py.File) -> None:
     """Refuses more numbers than the file can hold, before any is read.
 
     Raises:
@@ -180,7 +180,7 @@ def check_sizes(source: TrajectoryFile, file: h5py.File) -> None:
         nonlocal declared
         declared += array.nbytes if isinstance(array, h5py.Dataset) else 0
 
-    with whole(source.path, REMEDY):
+    with reading(source.path, REMEDY):
         for episode in source.episodes:
             if isinstance(group := file.get(episode.name), h5py.Group):
                 for part in ("env_states", "actions"):
@@ -205,7 +205,7 @@ def read_demo(source: TrajectoryFile, file: h5py.File, name: str, mode: str, see
         DatasetError: If something is missing or wrong; names file and trajectory.
     """
     try:
-        with whole(source.path, REMEDY, name):
+        with reading(source.path, REMEDY, name):
             missing = [part for part in (name, f"{name}/env_states", f"{name}/actions")
                        if part not in file]  # fmt: skip
             if missing:
@@ -284,10 +284,10 @@ def _robot(articulations: h5py.Group) -> np.ndarray:
 
 def _actor(actors: h5py.Group, name: str, count: int) -> np.ndarray:
     """Poses and velocities of an object [T + 1, 13]."""
-    found = numbers(actors, name)
-    if found.shape != (count, ROOT):
-        raise DatasetError(f"actor {name!r} has states {found.shape}, expected {(count, ROOT)}.")
-    return found
+    states = numbers(actors, name)
+    if states.shape != (count, ROOT):
+        raise DatasetError(f"actor {name!r} has states {states.shape}, expected {(count, ROOT)}.")
+    return states
 
 
 def _check_base(state: np.ndarray, world_from_base: np.ndarray) -> None:
@@ -295,10 +295,10 @@ def _check_base(state: np.ndarray, world_from_base: np.ndarray) -> None:
     wanted = np.concatenate(
         [world_from_base[:3, 3], quaternion_from_matrix(world_from_base[:3, :3])]
     )
-    found = state[:POSE] * np.where(np.arange(POSE) < 3, 1, np.sign(state[3:POSE] @ wanted[3:]))
-    if abs(found - wanted).max() > SAME:
+    base = state[:POSE] * np.where(np.arange(POSE) < 3, 1, np.sign(state[3:POSE] @ wanted[3:]))
+    if abs(base - wanted).max() > SAME:
         raise DatasetError(
-            f"the robot's base is at {found.round(3).tolist()} (xyz, wxyz), in our task at "
+            f"the robot's base is at {base.round(3).tolist()} (xyz, wxyz), in our task at "
             f"{wanted.round(3).tolist()}."
         )
 

@@ -27,8 +27,8 @@ from jaxcam.data.hdf5 import (
     group_at,
     numbers,
     open_hdf5,
+    reading,
     text,
-    whole,
 )
 from jaxcam.data.replay import falls_short, replay_all
 from jaxcam.data.splits import FIRST_SEED
@@ -38,13 +38,14 @@ from jaxcam.interop.importing import Masks, show_next, succeeds, write_dataset
 from jaxcam.interop.robosuite_commands import (
     Controller,
     disagreement,
-    gripper_agrees,
     read_controller,
 )
-from jaxcam.interop.robosuite_model import GripPath, Origin, grip_path, read_origin
+from jaxcam.interop.robosuite_model import Origin, grip_path, read_origin
+from jaxcam.interop.robosuite_witness import FINGERS_STRAY, Witness, closedness
 from jaxcam.rays.rotations import rotvec_from_matrix
-from jaxcam.sim import make_task
-from jaxcam.sim.controllers import CONTROL_HZ, gripper_command
+from jaxcam.sim import make_engine, make_task
+from jaxcam.sim.controllers import CONTROL_HZ
+from jaxcam.sim.engine import Engine
 from jaxcam.sim.mujoco.scene import Scene
 from jaxcam.sim.task import Task
 from jaxcam.sim.types import Start
@@ -82,11 +83,11 @@ class DemonstrationFile:
     about: str
     """Where the demonstrations come from, for the header."""
 
-    def demo(self, name: str, task: Task, scene: Scene, seed: int) -> Demo:
+    def demo(self, name: str, task: Task, engine: Engine, seed: int) -> Demo:
         """One demonstration, without cameras; names file and demonstration in errors."""
         where = f"data/{name}"
         try:
-            with whole(self.path, REMEDY, where):
+            with reading(self.path, REMEDY, where):
                 group = group_at(group_at(self.file, "data"), name)
                 if "states" not in group or "model_file" not in group.attrs:
                     missing = "model_file" if "states" in group else "states"
@@ -98,7 +99,7 @@ class DemonstrationFile:
                 states = numbers(group, "states")
                 actions = numbers(group, "actions") if "actions" in group else None
                 xml = text(group, "model_file")
-            return _convert(states, actions, xml, self.controller, task, scene, seed)
+            return _convert(states, actions, xml, self.controller, task, engine, seed)
         except DatasetError as error:
             if str(error).startswith(f"{self.path}: "):
                 raise
@@ -123,6 +124,7 @@ def import_demos(config: RobomimicConfig, console: Console | None = None) -> Dem
     scene = task.scene(config.scene)
     if not isinstance(scene, Scene):
         raise ConfigError(f"{config.task} is not one of robosuite's tasks, but the file is of one.")
+    engine = make_engine(None, scene, "osc_pose", task.varied)
     with _source(config) as source:
         names = source.train + source.valid
         if console and config.filter_key is None and len(names) < source.count:
@@ -134,7 +136,7 @@ def import_demos(config: RobomimicConfig, console: Console | None = None) -> Dem
 
             def converted() -> Iterator[Demo]:
                 for i, name in enumerate(names):
-                    yield source.demo(name, task, scene, FIRST_SEED + i)
+                    yield source.demo(name, task, engine, FIRST_SEED + i)
                     advance()
 
             return write_dataset(
@@ -154,7 +156,7 @@ def task_of(path: Path) -> TaskName:
     Raises:
         DatasetError: The file cannot be read.
     """
-    with open_hdf5(path, remedy=REMEDY) as file, whole(path, REMEDY):
+    with open_hdf5(path, remedy=REMEDY) as file, reading(path, REMEDY):
         name, _ = _environment(path, file)
     return ENVIRONMENTS.get(name, RobomimicConfig.task)
 
@@ -163,7 +165,7 @@ def task_of(path: Path) -> TaskName:
 def _source(config: RobomimicConfig) -> Iterator[DemonstrationFile]:
     path = home(config.file)
     with open_hdf5(path, remedy=REMEDY) as file:
-        with whole(path, REMEDY):
+        with reading(path, REMEDY):
             source = _read_source(path, file, config)
         yield source
 
@@ -189,15 +191,16 @@ def _read_source(path: Path, file: h5py.File, config: RobomimicConfig) -> Demons
     name, env = _environment(path, file)
     settings = dict(env.get("env_kwargs") or {})
     _check_environment(path, name, settings, config.task)
-    controller = None
+    controller, version = None, str(env.get("env_version", "of unknown version"))[:40]
     if config.actions != "states":
         try:
-            controller = read_controller(settings.get("controller_configs"), config.actions)
+            controller = read_controller(
+                settings.get("controller_configs"), config.actions, version
+            )
         except DatasetError as error:
             raise DatasetError(f"{path}: {error} Import with --actions states.") from error
     everything = _numbered(file)
     train, valid = Masks.of(path, file, everything).split(config.filter_key, config.validation)
-    version = str(env.get("env_version", "of unknown version"))[:40]
     about = f"{path.name}: {name} of robosuite {version}, {config.actions}"
     _check_sizes(path, file, train + valid)
     return DemonstrationFile(path, file, controller, train, valid, len(everything), about)
@@ -223,15 +226,15 @@ def _check_environment(path: Path, name: str, settings: dict[str, Any], task: st
     hz = settings.get("control_freq", CONTROL_HZ)
     if hz != CONTROL_HZ:
         raise DatasetError(
-            f"{path}: recorded at {hz} control steps a second; ours take {CONTROL_HZ}."
+            f"{path}: recorded at {hz!r:.40} control steps a second; ours take {CONTROL_HZ}."
         )
 
 
 def _numbered(file: h5py.File) -> list[str]:
     """Names of the file's demonstrations, by their number."""
     everything = map(str, group_at(file, "data"))
-    found = [name for name in everything if re.fullmatch("demo_[0-9]{1,9}", name)]
-    return sorted(found, key=lambda name: int(name.removeprefix("demo_")))
+    numbered = [name for name in everything if re.fullmatch("demo_[0-9]{1,9}", name)]
+    return sorted(numbered, key=lambda name: int(name.removeprefix("demo_")))
 
 
 def _convert(
@@ -240,7 +243,7 @@ def _convert(
     xml: str,
     controller: Controller | None,
     task: Task,
-    scene: Scene,
+    engine: Engine,
     seed: int,
 ) -> Demo:
     """A recorded episode in our scene: T states give T - 1 control steps."""
@@ -250,62 +253,59 @@ def _convert(
         raise DatasetError(f"actions {actions.shape}, expected {(len(states), 7)}: one per state.")
     if actions is not None and not np.isfinite(actions).all():
         raise DatasetError("actions that are not finite numbers.")
+    scene: Scene = engine.scene
     origin = read_origin(xml, states[0], scene, task.varied)
     qpos, qvel = origin.carry(states)
-    path = grip_path(scene, qpos, qvel)
-    gripper = _gripper(qpos[:, scene.fingers], actions, controller)
-    targets = _targets(controller, actions, origin, path)
-    closed = [0.0]
-    for sign in gripper:
-        closed.append(float(gripper_command(np.array(closed[-1]), sign)))
+    path = grip_path(scene, qpos)
+    witness = Witness(engine, qpos, qvel, path, origin.geom_size)
+    witness.check_pace()
+    if controller is not None:
+        targets, signs = _commanded(controller, actions, origin, witness)
+    else:
+        targets, signs = _followed(actions, witness)
     return Demo.record(
         Start(qpos[0], origin.geom_size, task.start(scene, seed).fixtures),
         seed=seed,
         qpos=qpos,
         qvel=qvel,
-        actions=np.column_stack([targets, gripper]),
+        actions=np.column_stack([targets, signs]),
         grip_position=path.position,
         grip_rotation=path.rotation,
-        gripper=np.array(closed),
+        gripper=closedness(signs),
     )
 
 
-def _targets(
-    controller: Controller | None, actions: np.ndarray | None, origin: Origin, path: GripPath
-) -> np.ndarray:
-    """Absolute grip targets of all states but the last [T - 1, 6]."""
-    if controller is None:
-        last = len(path.position) - 1
-        ahead = np.minimum(np.arange(last) + LEAD, last)
-        return np.concatenate([path.position, rotvec_from_matrix(path.rotation)], -1)[ahead]
+def _commanded(
+    controller: Controller, actions: np.ndarray | None, origin: Origin, witness: Witness
+) -> tuple[np.ndarray, np.ndarray]:
+    """Grip targets [T - 1, 6] and gripper signs [T - 1] that the file's actions ask for."""
     if actions is None:
         raise DatasetError("no 'actions'. Import with --actions states.")
-    if doubt := disagreement(controller, actions[:, :6], origin, path):
+    signs = np.sign(actions[:-1, 6])
+    if doubt := disagreement(controller, actions[:, :6], signs, origin, witness):
         raise DatasetError(doubt)
-    return controller.targets(actions[:, :6], origin, path)[:-1]
+    return controller.targets(actions[:, :6], origin, witness.path)[:-1], signs
 
 
-def _gripper(
-    fingers: np.ndarray, actions: np.ndarray | None, controller: Controller | None
-) -> np.ndarray:
-    """Signs of the gripper's command of all states but the last; from the opening if need be."""
-    opening = np.abs(fingers).sum(-1)
+def _followed(actions: np.ndarray | None, witness: Witness) -> tuple[np.ndarray, np.ndarray]:
+    """Grip targets [T - 1, 6] and gripper signs [T - 1] that lead where the states go.
+
+    Signs are those of the actions if the fingers follow them, else they come from the fingers.
+    """
+    path, last = witness.path, len(witness.qpos) - 1
+    ahead = np.minimum(np.arange(last) + LEAD, last)
+    targets = np.concatenate([path.position, rotvec_from_matrix(path.rotation)], -1)[ahead]
     if actions is not None:
         signs = np.sign(actions[:-1, 6])
-        if gripper_agrees(signs, opening):
-            return signs
-        if controller is not None:
-            raise DatasetError(
-                "its fingers open where commands close them: in robosuite positive closes. Import "
-                "with --actions states, which takes the gripper's command from its fingers."
-            )
-    moves = np.diff(opening)
-    signs, last = np.empty(len(moves)), -1.0
-    for t, move in enumerate(moves):
+        if witness.missed(targets, signs).fingers <= FINGERS_STRAY:
+            return targets, signs
+    opening = np.abs(witness.qpos[:, witness.engine.scene.fingers]).sum(-1)
+    signs, sign = np.empty(last), -1.0
+    for t, move in enumerate(np.diff(opening)):
         if abs(move) > STILL:
-            last = -float(np.sign(move))
-        signs[t] = last
-    return signs
+            sign = -float(np.sign(move))
+        signs[t] = sign
+    return targets, signs
 
 
 def success_of(demos: Demos, console: Console | None = None) -> tuple[np.ndarray, np.ndarray]:

@@ -2,10 +2,11 @@
 
 `Controller` turns the actions of robosuite's OSC_POSE into targets (control laws of robosuite 1.4.1
 and 1.5.2, `controllers/.../osc.py`). What a file says of its controller may be wrong, though:
-absolute actions are often kept beside the `env_args` of deltas. Its states are the witness:
-`disagreement` holds where commands lead against where the arm went.
+absolute actions are often kept beside the `env_args` of deltas. Its states are the witness, see
+`jaxcam.interop.robosuite_witness`.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -14,26 +15,12 @@ import numpy as np
 
 from jaxcam.errors import DatasetError
 from jaxcam.interop.robosuite_model import GripPath, Origin
+from jaxcam.interop.robosuite_witness import FINGERS_STRAY, STRAY, Missed, Witness
 from jaxcam.rays.rotations import matrix_from_rotvec, rotvec_from_matrix
-from jaxcam.sim.controllers import CONTROL_HZ, OSC_KP
+from jaxcam.sim.controllers import OSC_KP
 
-Reading = Literal["commands", "deltas", "absolute"]
+ActionReading = Literal["commands", "deltas", "absolute"]
 """How actions are read: as the file says, or as asked."""
-NOTABLE = (0.01, 0.1)
-"""Lead (m, rad) of a target over the grip from which a step says anything: below it, friction and
-gravity move the arm as much."""
-HEEDED = 0.55
-"""Median over the notable steps of how far the arm did what was asked: 1 is all of it, and half is
-what commands of twice the right size give. Recorded episodes of robosuite 1.4.1 and 1.5.2 have 0.73
-to 0.96."""
-STEPS = 5
-"""Notable steps below which there is no verdict."""
-STRAY = 0.01
-"""Way (m) of both fingers against their commands that is no doubt yet: they bounce."""
-_SPEED = np.sqrt(OSC_KP) / CONTROL_HZ
-_DECAY = np.exp(-_SPEED)
-_GAIN = 1 - (1 + _SPEED) * _DECAY
-"""What a critically damped arm at rest covers of its lead in one control step."""
 
 
 @dataclass(frozen=True)
@@ -91,26 +78,37 @@ class Controller:
 
 
 def disagreement(
-    controller: Controller, actions: np.ndarray, origin: Origin, path: GripPath
+    controller: Controller, actions: np.ndarray, signs: np.ndarray, origin: Origin, witness: Witness
 ) -> str:
     """How the commands of a demonstration disagree with its states, and the way out; "" if not.
 
     Args:
         controller: As its actions are read.
         actions: Of the arm [T, 6].
+        signs: Of the gripper's commands, positive closes [T - 1].
         origin: Of the demonstration.
-        path: Where the grip was before each action (the scene's world).
+        witness: Its states.
     """
-    follows, count = _followed(controller.targets(actions, origin, path), path)
-    if follows >= HEEDED:
-        return ""
+
+    def missed(reading: Controller) -> Missed:
+        return witness.missed(reading.targets(actions, origin, witness.path)[:-1], signs)
+
+    off = missed(controller)
+    if off.arm <= STRAY:
+        if off.fingers <= FINGERS_STRAY:
+            return ""
+        return (
+            "its fingers do not go where commands send them: in robosuite positive closes and "
+            "negative opens. Import with --actions states, which takes the gripper's command from "
+            "its fingers."
+        )
     other = replace(controller, is_delta=not controller.is_delta)
     reading = {True: "deltas", False: "absolute poses"}
     message = (
         f"its commands, read as {reading[controller.is_delta]}, do not lead where its states go: "
-        f"in the median of {count} larger commands the arm does {follows:.0%} of what they ask."
+        f"a control step later the grip is elsewhere by {off.arm:.0%} of what they ask."
     )
-    if _followed(other.targets(actions, origin, path), path)[0] >= HEEDED:
+    if missed(other).arm <= STRAY:
         return (
             f"{message} As {reading[other.is_delta]} they do, whatever env_args says: import with "
             f"--actions {'deltas' if other.is_delta else 'absolute'}."
@@ -118,56 +116,18 @@ def disagreement(
     return f"{message} Import with --actions states."
 
 
-def _followed(targets: np.ndarray, path: GripPath) -> tuple[float, int]:
-    """Share of what targets [T, 6] ask that the arm did, and steps that say so.
-
-    An arm without command goes on by its speed and is braked; what it moves beyond that is what a
-    command did, and that is `_GAIN` of the lead.
-    """
-    at, axes = path.position, path.rotation
-    coasting = path.velocity[:-1] / CONTROL_HZ * _DECAY
-    goals = matrix_from_rotvec(targets[:-1, 3:])
-    lead = np.concatenate(
-        [targets[:-1, :3] - at[:-1], rotvec_from_matrix(goals @ axes[:-1].mT)], -1
-    )
-    moved = np.concatenate([np.diff(at, axis=0), rotvec_from_matrix(axes[1:] @ axes[:-1].mT)], -1)
-    asked, done = (_GAIN * lead), (moved - coasting)
-    worst, steps = 1.0, 0
-    for part, least in zip((slice(0, 3), slice(3, 6)), NOTABLE, strict=True):
-        wanted, got = asked[:, part], done[:, part]
-        size = np.maximum(np.linalg.norm(wanted, axis=-1), np.linalg.norm(got, axis=-1))
-        notable = size > _GAIN * least
-        if notable.sum() < STEPS:
-            continue
-        share = (wanted * got).sum(-1)[notable] / size[notable] ** 2
-        follows = float(np.median(share))
-        clear = np.minimum(abs(wanted), abs(got)) > _GAIN * least / 2
-        backwards = ((wanted * got < 0) & clear).sum(0)
-        if (backwards >= STEPS).any() and (2 * backwards > clear.sum(0)).any():
-            follows = min(follows, 0.0)  # an axis that is turned around, the others being right
-        if follows < worst:
-            worst, steps = follows, int(notable.sum())
-    return worst, steps
-
-
-def gripper_agrees(signs: np.ndarray, opening: np.ndarray) -> bool:
-    """Whether fingers close where commands close.
-
-    Args:
-        signs: Of the gripper's commands, positive closes [T].
-        opening: Of both fingers (m) before each, and after the last [T + 1].
-    """
-    moves = np.diff(opening)
-    against = (moves * signs).clip(0).sum()
-    return bool(against <= max(STRAY, abs(moves).sum() / 2))
-
-
-def read_controller(settings: Any, reading: Reading = "commands") -> Controller:
+def read_controller(
+    settings: Any, reading: ActionReading = "commands", version: str = ""
+) -> Controller:
     """Reads `controller_configs` of robosuite 1.4 (one arm's) or 1.5 (of body parts).
+
+    Each version ignores what it does not know: 1.4 the settings `input_type` and
+    `input_ref_frame`, 1.5 `control_delta`. Given one arm's settings, 1.5 puts them into its own.
 
     Args:
         settings: As JSON has them.
         reading: Whether actions are deltas: as the settings say, or as asked.
+        version: Of robosuite, as the file says; "" where it does not.
 
     Raises:
         DatasetError: If the actions are no OSC_POSE targets that ours would follow alike.
@@ -185,19 +145,28 @@ def read_controller(settings: Any, reading: Reading = "commands") -> Controller:
             raise DatasetError(f"a composite controller of type {kind!r}; expected 'BASIC'.")
     if not isinstance(part, Mapping):
         raise DatasetError("env_args names no controller.")
-    _check_law(part, is_composite)
-    is_delta = part.get("input_type", "delta") == "delta" and bool(part.get("control_delta", True))
+    is_new = is_composite or _at_least_15(version)
+    _check_law(part, is_new)
+    is_delta = (
+        part.get("input_type") != "absolute" if is_new else bool(part.get("control_delta", 1))
+    )
     return Controller(
         input_range=_range(part, "input", 1.0),
         output_range=_range(part, "output", [0.05, 0.05, 0.05, 0.5, 0.5, 0.5]),
         is_delta=is_delta if reading == "commands" else reading == "deltas",
-        in_base=is_composite and part.get("input_ref_frame", "base") == "base",
-        keeps_rotation=not is_composite,
+        in_base=is_new and part.get("input_ref_frame", "base") == "base",
+        keeps_rotation=not is_new,
         position_limits=_box(part.get("position_limits")),
     )
 
 
-def _check_law(part: Mapping[str, Any], is_composite: bool) -> None:
+def _at_least_15(version: str) -> bool:
+    """Whether this is robosuite 1.5 or newer."""
+    numbers = re.match(r"(\d{1,4})\.(\d{1,4})", version)
+    return numbers is not None and (int(numbers[1]), int(numbers[2])) >= (1, 5)
+
+
+def _check_law(part: Mapping[str, Any], is_new: bool) -> None:
     """Refuses each setting by which the arm would do something else than ours with a target."""
     gripper = part.get("gripper", {})
     wanted: dict[str, tuple[Any, Any]] = {
@@ -209,14 +178,14 @@ def _check_law(part: Mapping[str, Any], is_composite: bool) -> None:
         "interpolation": (part.get("interpolation"), None),
         "orientation_limits": (part.get("orientation_limits"), None),
     }
-    if is_composite:  # robosuite 1.5 has limits among its settings, but not in its code
+    if is_new:  # robosuite 1.5 has limits among its settings, but not in its code
         wanted["position_limits"] = (part.get("position_limits"), None)
         kind = gripper.get("type", "GRIP") if isinstance(gripper, Mapping) else gripper
         wanted["gripper"] = (kind, "GRIP")
         if (frame := part.get("input_ref_frame", "base")) != "world":
             wanted["input_ref_frame"] = (frame, "base")
-    if (kind := part.get("input_type", "delta")) != "absolute":
-        wanted["input_type"] = (kind, "delta")
+        if (kind := part.get("input_type", "delta")) != "absolute":
+            wanted["input_type"] = (kind, "delta")
     wrong = [name for name, (value, right) in wanted.items() if not _is_all(value, right)]
     if wrong:
         raise DatasetError(
@@ -249,12 +218,12 @@ def _numbers(part: Mapping[str, Any], name: str, default: Any) -> np.ndarray:
     """A setting that is a number or six of them [6]."""
     value = part.get(name, default)
     try:
-        found = np.asarray(value, float)
+        numbers = np.asarray(value, float)
     except (TypeError, ValueError):
-        found = np.array(np.nan)
-    if found.shape not in ((), (6,)) or not np.isfinite(found).all():
+        numbers = np.array(np.nan)
+    if numbers.shape not in ((), (6,)) or not np.isfinite(numbers).all():
         raise DatasetError(f"{name} {value!r} of its controller; expected a number, or six.")
-    return np.broadcast_to(found, 6)
+    return np.broadcast_to(numbers, 6)
 
 
 def _box(limits: Any) -> np.ndarray | None:
@@ -262,12 +231,12 @@ def _box(limits: Any) -> np.ndarray | None:
     if limits is None:
         return None
     try:
-        found = np.asarray(limits, float)
+        box = np.asarray(limits, float)
     except (TypeError, ValueError):
-        found = np.array(np.nan)
-    if found.shape != (2, 3) or not np.isfinite(found).all() or (found[0] > found[1]).any():
+        box = np.array(np.nan)
+    if box.shape != (2, 3) or not np.isfinite(box).all() or (box[0] > box[1]).any():
         raise DatasetError(
             f"position_limits {limits!r} of its controller; expected the smallest and the largest "
             "position, of three numbers each."
         )
-    return found
+    return box

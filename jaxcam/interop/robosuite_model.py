@@ -179,9 +179,9 @@ def _not_allowed(tag: str) -> DatasetError:
 def _named(model: mujoco.MjModel, kind: str, name: str) -> int:
     """The id of robosuite's `name`, which up to 1.4 had no arm in a gripper's names."""
     for known in (name, name.replace("gripper0_right_", "gripper0_")):
-        found = mujoco.mj_name2id(model, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), known)
-        if found >= 0:
-            return found
+        number = mujoco.mj_name2id(model, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), known)
+        if number >= 0:
+            return number
     raise DatasetError(
         f"no {kind} {name!r} in its model_file. Only robosuite's single Panda on its table can be "
         "imported."
@@ -233,7 +233,7 @@ def _check_grip(
     """Both models must put the gripper in the same place, or it is another robot."""
     site = _named(model, "site", "gripper0_right_grip_site")
     theirs = origin.world_from_theirs @ np.append(data.site_xpos[site], 1)
-    ours = grip_path(scene, *origin.carry(state[None])).position[0]
+    ours = grip_path(scene, origin.carry(state[None])[0]).position[0]
     if not (apart := float(np.linalg.norm(theirs[:3] - ours))) <= GRIP_TOLERANCE:
         raise DatasetError(
             f"its gripper is {apart:.3f} m from where the scene's robot has it with the same "
@@ -249,21 +249,15 @@ class GripPath:
     """(m) [T, 3]."""
     rotation: np.ndarray
     """Its axes [T, 3, 3]."""
-    velocity: np.ndarray
-    """Of its place (m/s) and turning (rad/s; the world's axes) [T, 6]."""
 
 
-def grip_path(scene: Scene, qpos: np.ndarray, qvel: np.ndarray) -> GripPath:
-    """Where the grip is, and how it moves, in states [T, nq] and [T, nv]."""
+def grip_path(scene: Scene, qpos: np.ndarray) -> GripPath:
+    """Where the grip is in states [T, nq]."""
     model, data = scene.physics, mujoco.MjData(scene.physics)
-    path = GripPath(*(np.empty((len(qpos), *shape)) for shape in ((3,), (3, 3), (6,))))
-    jacobian = np.empty((6, model.nv))
-    for t, (q, v) in enumerate(zip(qpos, qvel, strict=True)):
+    path = GripPath(np.empty((len(qpos), 3)), np.empty((len(qpos), 3, 3)))
+    for t, q in enumerate(qpos):
         data.qpos[:] = q
         mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], scene.grip_site)
         path.position[t] = data.site_xpos[scene.grip_site]
         path.rotation[t] = data.site_xmat[scene.grip_site].reshape(3, 3)
-        path.velocity[t] = jacobian @ v
     return path

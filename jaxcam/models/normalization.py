@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxcam.models.policy import Stats
+from jaxcam.models.policy import Stats, statistic
 
 STD_FLOOR = 1e-4
 """Least standard deviation, of stored statistics as of actions: that of the paper's authors."""
@@ -91,8 +91,7 @@ def proprio_range(stats: Stats, *, floors: bool = True) -> Scale:
 
 
 def _mean_and_std(stats: Stats, name: str) -> tuple[np.ndarray, np.ndarray]:
-    mean, std = (np.asarray(stats[f"{name}_{part}"], np.float32) for part in ("mean", "std"))
-    return mean, std
+    return statistic(stats, f"{name}_mean"), statistic(stats, f"{name}_std")
 
 
 def _middle_and_half(stats: Stats, name: str) -> Scale:
@@ -107,8 +106,7 @@ def _from_low_end(stats: Stats, name: str) -> Scale:
 
 
 def _ends(stats: Stats, name: str) -> tuple[np.ndarray, np.ndarray]:
-    low, high = (np.asarray(stats[f"{name}_{end}"], np.float32) for end in ("min", "max"))
-    return low, high
+    return statistic(stats, f"{name}_min"), statistic(stats, f"{name}_max")
 
 
 def _as_lerobot(std: np.ndarray) -> np.ndarray:

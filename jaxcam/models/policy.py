@@ -147,8 +147,26 @@ def check_sizes(chunk: int, spec: PolicySpec, stats: Stats) -> None:
             f"The policy predicts {chunk} actions but the data has chunks of {spec.chunk}."
         )
     for name, expected in (("action", spec.action_dim), ("proprio", spec.proprio_dim)):
-        shape = np.shape(stats[f"{name}_mean"])
-        if shape != (expected,):
-            raise ConfigError(
-                f"Statistics of {name} have shape {shape}; the policy expects ({expected},)."
-            )
+        for kind in ("mean", "std", "min", "max"):
+            shape = np.shape(stats.get(f"{name}_{kind}", np.zeros(expected)))
+            if shape != (expected,):
+                raise ConfigError(
+                    f"Statistics of {name} have shape {shape}; the policy expects ({expected},)."
+                )
+
+
+def statistic(stats: Stats, name: str) -> np.ndarray:
+    """A statistic of the data, float32 [D].
+
+    Args:
+        stats: Of the data.
+        name: Such as "action_mean".
+
+    Raises:
+        ConfigError: There is none, or it is no list of finite numbers.
+    """
+    value = np.asarray(stats.get(name))
+    if value.dtype.kind not in "fiu" or value.ndim != 1 or not np.isfinite(value).all():
+        got = "missing" if name not in stats else f"{value!r:.100}"
+        raise ConfigError(f"Statistics: {name} is {got}, expected a list of finite numbers.")
+    return value.astype(np.float32)

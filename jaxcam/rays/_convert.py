@@ -136,24 +136,33 @@ def read_pose_file(path: str | Path) -> tuple[np.ndarray, dict[str, Any]]:
         Poses `[count, 4, 4]` in OpenCV axes, float64, and the config as it stands in the file.
 
     Raises:
-        CameraError: If the file is not of this form or a pose is impossible.
+        CameraError: If the file is not of this form or a pose is impossible, or it is none: a
+            device or a pipe may never end.
     """
+    path = Path(path)
+    if path.exists() and not path.is_file():
+        raise CameraError(f"{path} is no file: expected JSON with 'poses'.")
     try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-    except ValueError as error:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise CameraError(f"{path} cannot be read: {error.strerror}.") from error
+    except (ValueError, RecursionError) as error:
         raise CameraError(f"{path} is not JSON ({error}). Likely cause: a cut download.") from None
     fields = cast(dict[str, Any], content) if isinstance(content, dict) else {}
     if not isinstance(fields.get("poses"), list):
         got = list(fields) if isinstance(content, dict) else type(content).__name__
         raise CameraError(f"{path}: expected an object with a list 'poses', found {got}.")
+    config = fields.get("config", {})
+    if not isinstance(config, dict):
+        raise CameraError(f"{path}: 'config' must be an object, found {type(config).__name__}.")
     try:
         poses = np.asarray(fields["poses"], np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise CameraError(f"{path}: 'poses' must be a list of 4x4 matrices of numbers.") from None
     if poses.ndim != 3:
         raise CameraError(f"{path}: expected [count, 4, 4] poses, got {list(poses.shape)}.")
     check_pose(f"{path} pose", poses)
-    return opencv_from_opengl(poses), fields.get("config", {})
+    return opencv_from_opengl(poses), cast(dict[str, Any], config)
 
 
 def write_pose_file(

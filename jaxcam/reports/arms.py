@@ -15,17 +15,17 @@ from typing import Any
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.files.jsonl import line_of, read_jsonl
 from jaxcam.files.locks import exclusive
-from jaxcam.files.paths import absolute, read_text
-from jaxcam.files.whole import write_atomically
+from jaxcam.files.paths import absolute
+from jaxcam.files.whole import write_together
 from jaxcam.reports.records import NAMED, NOT_RECORDED, read_records
 from jaxcam.results.differences import PairedDifference, paired_difference
 from jaxcam.results.protocol import Protocol, counted, lacks, protocol_of
 from jaxcam.results.rows import USUAL_WAY, Row
 from jaxcam.results.stats import Estimate, latest_rows, success_rate
 from jaxcam.runs.identity import Settings, changes, identity, plain, read_config
-from jaxcam.runs.manifests import sides
+from jaxcam.runs.manifests import sides, starting_weights
 from jaxcam.runs.metrics import read_metrics
-from jaxcam.runs.rollouts import read_rows, read_run_rows
+from jaxcam.runs.rollouts import of_one_run, read_rows, read_run_rows
 
 _KEPT = ("step", "split", "pair", "pair_sha", "weights_sha", "success", "status", "steps",
          "azimuth_deg", "elevation_deg", "distance", "renderer", "width")  # fmt: skip
@@ -180,8 +180,10 @@ def write_results(folder: Path, runs: Sequence[Run]) -> None:
     ]  # fmt: skip
     rows = ({"run": i, **_brief(row)} for i, run in enumerate(runs) for row in run.rows)
     with exclusive(folder / "rows.jsonl"):  # a row's number is that of its run in the other file
-        write_atomically(folder / "rows.jsonl", "".join(map(line_of, rows)))
-        write_atomically(folder / "runs.json", json.dumps(records, indent=1) + "\n")
+        write_together({
+            folder / "rows.jsonl": "".join(map(line_of, rows)),
+            folder / "runs.json": json.dumps(records, indent=1) + "\n",
+        })  # fmt: skip
 
 
 def check_replaces(folder: Path, runs: Sequence[Run]) -> None:
@@ -245,15 +247,18 @@ def training_seconds(metrics: Sequence[Mapping[str, Any]]) -> float:
 
 
 def _find(path: Path, known: set[Path]) -> Iterator[Path]:
-    """The run and results folders at or below a path, each folder once: links may lead back."""
+    """The run and results folders at or below a path, each folder once: links may lead back.
+
+    Results may have been written into a folder of runs, and then do not hide them.
+    """
     if not path.is_dir() or (real := path.resolve()) in known:
         return
     known.add(real)
-    if any((path / name).is_file() for name in ("config.json", "rows.jsonl")):
+    is_run = (path / "config.json").is_file()
+    if is_run or (path / "rows.jsonl").is_file():
         yield path
-    else:
-        for child in sorted(path.iterdir()):
-            yield from _find(child, known)
+    for child in [] if is_run else sorted(path.iterdir()):
+        yield from _find(child, known)
 
 
 def _read(folder: Path, split: str) -> list[Run]:
@@ -305,27 +310,27 @@ def read_results(folder: Path, split: str) -> list[Run]:
         # Where a run was evaluated in several ways, the settings list them all.
         shared |= {k: v for k, v in record.settings.items()
                    if k in USUAL_WAY and not isinstance(v, list)}  # fmt: skip
-        rows = latest_rows(
-            Row.from_json(line | shared, where) for where, line in lines.get(record.run, [])
-        )
-        rows = [row for row in rows if row.split == split]
+        given = lines.get(record.run, [])
+        rows = of_one_run((where, Row.from_json(line | shared, where)) for where, line in given)
+        rows = [row for row in latest_rows(rows) if row.split == split]
         runs.append(Run(record.name, None, record.settings, record.seed, rows, record.seconds))
     return runs
 
 
 def _read_rows(folder: Path, split: str) -> list[Run]:
     """The runs of rows alone: their settings are known as far as rows say them."""
-    runs: dict[tuple[Any, ...], list[Row]] = {}
-    for row in latest_rows(read_rows(folder / "rows.jsonl")):
-        if row.split == split:
-            key = tuple(getattr(row, name) for name in (*NAMED, "seed", "run"))
-            runs.setdefault(key, []).append(row)
-    return [
-        Run(name or folder.name, None,
-            {k: v or NOT_RECORDED for k, v in zip(NAMED, shared, strict=True)} | _ways(rows),
-            seed, rows)
-        for (*shared, seed, name), rows in runs.items()
-    ]  # fmt: skip
+    file = folder / "rows.jsonl"
+    of_runs: dict[tuple[Any, ...], list[tuple[str, Row]]] = {}
+    for number, row in enumerate(read_rows(file), start=1):
+        key = tuple(getattr(row, name) for name in (*NAMED, "seed", "run"))
+        of_runs.setdefault(key, []).append((f"{file}, line {number}", row))
+    runs = []
+    for (*shared, seed, name), given in of_runs.items():
+        rows = [row for row in latest_rows(of_one_run(given)) if row.split == split]
+        settings = {k: v or NOT_RECORDED for k, v in zip(NAMED, shared, strict=True)}
+        if rows:
+            runs.append(Run(name or folder.name, None, settings | _ways(rows), seed, rows))
+    return runs
 
 
 def _merge(one: Run, other: Run) -> Run:
@@ -369,11 +374,10 @@ def _ways(rows: Iterable[Row]) -> Settings:
 
 def _kind_of_weights(folder: Path, name: str) -> str:
     """What the weights are, and the start of their digest; their path if no record tells."""
-    record = folder / "weights.json"
-    if not record.is_file():
+    record = starting_weights(folder)
+    if record is None:
         return os.path.normpath(name)
-    content = json.loads(read_text(record))
-    return f"{content['kind'] or Path(name).stem} {str(content.get('sha256', ''))[:8]}".rstrip()
+    return f"{record.kind or Path(name).stem} {record.sha256[:8]}".rstrip()
 
 
 def _content_of_data(folder: Path, name: str) -> str:

@@ -90,7 +90,7 @@ def angle_ticks(cameras: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @styled
-def camera_poses(
+def camera_places(
     train: np.ndarray, test: np.ndarray, centre: Sequence[float] = (0.0, 0.0, 0.8)
 ) -> Figure:
     """Camera positions and viewing directions, seen from above and from the side.

@@ -12,6 +12,7 @@ from pathlib import Path
 from rich.console import Console
 
 from jaxcam.config.commands import ReportConfig
+from jaxcam.console.words import plain_line
 from jaxcam.errors import ConfigError
 from jaxcam.files.paths import absolute
 from jaxcam.files.whole import check_free, write_atomically
@@ -30,8 +31,8 @@ from jaxcam.reports.document import (
     to_markdown,
 )
 from jaxcam.reports.html import own_files
-from jaxcam.reports.names import file_name, plain_line
-from jaxcam.reports.studies import STUDIES, arms_of, names, panels, place
+from jaxcam.reports.names import file_name
+from jaxcam.reports.studies import STUDIES, arm_names, arms_of, panels, place
 from jaxcam.reports.study_figures import bars, curves, maps, rates_and_gains
 from jaxcam.reports.style import save
 from jaxcam.reports.tables import (
@@ -66,20 +67,23 @@ def write_comparison(runs: Sequence[Run], out: Path, split: str = "test") -> Pat
         ConfigError: The folder has rows that would be lost.
     """
     check_replaces(out, runs)
-    out.mkdir(parents=True, exist_ok=True)
+    title = "Camera-conditioned policies: this code beside the paper"
+    page = out / "report.html"
+    if not page.exists():  # so that the folder is known as ours, whatever ends this
+        begun = "The command that writes this report has not finished. Run it again."
+        write_atomically(page, to_html(Document(title, begun, []), out))
     arms = [arm for arm in group(runs) if arm.estimate.n or arm.estimate.excluded]
     blocks = [*_about(arms), *_main(arms, out), *_studies(arms, out), *_maps(arms, out)]
     blocks += [Heading("Runs"), runs_table(runs, _videos(runs, out))]
     pairs = "held-out pairs" if split == "test" else f"{split} pairs"
-    title = "Camera-conditioned policies: this code beside the paper"
     subtitle = f"Success on {pairs} of an initial state and a camera pose."
     document = Document(title, subtitle, blocks)
     write_atomically(out / "report.md", to_markdown(document))
     write_atomically(out / "report.tex", to_latex(document))
     write_atomically(out / "report.csv", to_csv(arms))
-    write_atomically(out / "report.html", to_html(document, out))
     write_results(out, runs)
-    return out / "report.html"
+    write_atomically(page, to_html(document, out))
+    return page
 
 
 def _about(arms: Sequence[Arm]) -> list[Block]:
@@ -138,7 +142,7 @@ def _studies(arms: Sequence[Arm], out: Path) -> list[Block]:
         if not shown:
             continue
         of_study = arms_of(shown)
-        named = names(study, of_study)
+        named = arm_names(study, of_study)
         figure = curves(shown, "cameras") if study.field == "n" else bars(shown, named)
         path = save(figure, out / "figures" / f"{study.file}.png")
         caption = f"{study.title}. The paper's finding: {paper.SAYS[study.field]}"
@@ -221,5 +225,5 @@ def main(config: ReportConfig, console: Console) -> None:
         name = " ".join(str(s[k]) for k in ("policy", "task", "scene", "conditioning"))
         whole = f" [{', '.join(arm.lacks)}]" if arm.lacks else ""
         line = plain_line(f"{name}, {arm.label()}: {arm.estimate}{whole}")
-        console.print(line, markup=False, soft_wrap=True)
-    console.print(f"Report: {written}", markup=False, soft_wrap=True)
+        console.print(line, soft_wrap=True)
+    console.print(f"Report: {written}", soft_wrap=True)

@@ -13,6 +13,7 @@ from typing import Any
 import jinja2
 
 import jaxcam
+from jaxcam.files.paths import read_bytes
 from jaxcam.reports.names import address
 
 _WIDEST = 980
@@ -56,7 +57,7 @@ def embedded(file: Path, caption: str, *, wide: bool) -> Embedded:
         caption: What it shows.
         wide: Whether it has a line of its own.
     """
-    content = file.read_bytes()
+    content = read_bytes(file)
     pixels = int.from_bytes(content[16:20], "big")  # the width stands in a PNG's first chunk
     data = base64.b64encode(content).decode()
     return Embedded(data, caption, min(pixels * 3 // 4, _WIDEST), wide)

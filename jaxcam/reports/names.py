@@ -1,12 +1,15 @@
 """Texts that come from files, as each kind of reader wants them: nothing in them is a command.
 
 Tasks, runs and settings have any name in rows that somebody else wrote. Here they become file
-names, TeX, CSV, Markdown, addresses and lines of a terminal. HTML is escaped by the templates.
+names, TeX, CSV, Markdown and addresses. HTML is escaped by the templates, and what goes to a
+terminal by `jaxcam.console.terminal`.
 """
 
 import hashlib
 import re
 from urllib.parse import quote
+
+from jaxcam.console.words import plain_line
 
 _LONGEST = 100
 _WIDE_WORD = r"(\S{47})\S{2,}"  # a figure has no room for more
@@ -27,15 +30,6 @@ def file_name(text: str) -> str:
     if safe == text:
         return safe
     return f"{safe}-{hashlib.sha256(text.encode(errors='replace')).hexdigest()[:8]}"
-
-
-def plain_line(text: str) -> str:
-    """The text as one line of a terminal: what would steer it is written out.
-
-    Args:
-        text: Any text.
-    """
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 def drawn(text: str) -> str:
@@ -97,4 +91,5 @@ def address(path: str) -> str:
     Args:
         path: With slashes.
     """
-    return quote(path if path.startswith((".", "/")) else f"./{path}" if ":" in path else path)
+    named = path if path.startswith((".", "/")) else f"./{path}" if ":" in path else path
+    return quote(named, errors="surrogateescape")  # names of files may be no text

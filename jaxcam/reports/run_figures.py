@@ -12,27 +12,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from jaxcam.reports.camera_figures import camera_poses, rate_by_camera, ray_picture, success_map
+from jaxcam.reports.camera_figures import rate_by_camera, success_map
 from jaxcam.reports.style import (
     BLUE,
     VERMILION,
-    note,
     percent,
     save,
     side_by_side,
+    small_print,
     styled,
 )
 from jaxcam.results.rows import Row
-
-__all__ = [
-    "camera_poses",
-    "loss_curves",
-    "ray_picture",
-    "save",
-    "success_curve",
-    "success_map",
-    "write_plots",
-]
 
 
 @styled
@@ -99,7 +89,7 @@ def success_curve(metrics: Iterable[Mapping[str, Any]]) -> Figure:
         )  # fmt: skip
         pairs = sorted({int(row["pairs"]) for row in rows if "pairs" in row})
         counts = " to ".join(str(n) for n in dict.fromkeys([*pairs[:1], *pairs[-1:]]))
-        note(axes, f"95 % interval, {counts} pairs" if pairs else "95 % interval")
+        small_print(axes, f"95 % interval, {counts} pairs" if pairs else "95 % interval")
     _step_axis(axes, rows[-1]["step"] if rows else 1)
     return figure
 

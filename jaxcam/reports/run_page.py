@@ -4,13 +4,14 @@ Videos lie beside the page; pictures are inside it.
 """
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
+from jaxcam.files.paths import read_text
 from jaxcam.files.whole import write_atomically
 from jaxcam.reports import paper
 from jaxcam.reports.arms import training_seconds
@@ -18,10 +19,8 @@ from jaxcam.reports.html import Embedded, embedded, own_files, render
 from jaxcam.results.rows import Row
 from jaxcam.results.stats import Estimate, by_field, latest_rows, success_rate
 from jaxcam.runs.identity import differences, plain, read_config, resolve
-from jaxcam.runs.metrics import read_metrics
+from jaxcam.runs.metrics import MetricsRow, read_metrics
 from jaxcam.runs.rollouts import read_run_rows
-
-Metrics = Sequence[Mapping[str, Any]]
 
 _PLOTS = {
     "success_map": "Each held-out camera by direction; the side panels bin one angle at a time.",
@@ -98,7 +97,9 @@ def reproduce_command(config: TrainConfig) -> str:
     return shlex.join(words)
 
 
-def _facts(config: TrainConfig, metrics: Metrics, rows: Sequence[Row], step: int) -> dict[str, Any]:
+def _facts(
+    config: TrainConfig, metrics: Sequence[MetricsRow], rows: Sequence[Row], step: int
+) -> dict[str, Any]:
     """What stands beside the success rate."""
     trained = int(max((row.get("step", 0) for row in metrics), default=0))
     lengths = [row.steps or 0 for row in rows if row.finished and row.success]
@@ -184,7 +185,7 @@ def _commands(run_dir: str | Path, config: TrainConfig) -> list[list[str]]:
 def _environment(file: Path) -> str:
     """Versions and devices."""
     own = own_files(file.parent, file.name)
-    return own[0].read_text("utf-8", errors="replace").strip() if own else ""
+    return read_text(own[0], "replace").strip() if own else ""
 
 
 def _degrees(value: float | None) -> str:

@@ -77,7 +77,7 @@ def panels(study: Study, arms: Sequence[Arm]) -> list[Panel]:
         for arm in some:
             groups.setdefault(context(arm, study.field, "conditioning"), []).append(arm)
         for group in map(functools.partial(_compared, study), groups.values()):
-            values = names(study, group)
+            values = arm_names(study, group)
             if len(values) < study.least:
                 continue
             chosen = {
@@ -94,7 +94,7 @@ def arms_of(shown: Sequence[Panel]) -> list[Arm]:
     return [arm for panel in shown for arms in panel.arms.values() for arm in arms.values()]
 
 
-def names(study: Study, arms: Sequence[Arm]) -> dict[Any, str]:
+def arm_names(study: Study, arms: Sequence[Arm]) -> dict[Any, str]:
     """The values that arms have of a study's setting, in its order, with their names."""
     there = {arm.settings[study.field] for arm in arms}
     others = sorted(there - set(study.names), key=_number_or_text)

@@ -70,7 +70,7 @@ def side_by_side(
     return figure, list(figure.subplots(1, columns, squeeze=False, sharey=share_y)[0])
 
 
-def note(axes: Axes, text: str) -> None:
+def small_print(axes: Axes, text: str) -> None:
     """Small print above the right end of a panel."""
     axes.text(1, 1.03, text, transform=axes.transAxes, ha="right", color=GREY, fontsize=8.5)
 

@@ -188,14 +188,13 @@ def latest_rows(rows: Iterable[Row]) -> list[Row]:
         "task", "scene", "run", "policy", "conditioning", "seed", "step", "split"
     )
     way_of = attrgetter("width", "engine", "ensemble")
-    ways: dict[Hashable, Hashable] = {}
-    latest: dict[Hashable, dict[int, Row]] = {}
+    last_way: dict[Hashable, Hashable] = {}
+    latest: dict[Hashable, dict[Hashable, dict[int, Row]]] = {}
     for row in rows:
         evaluation, way = evaluation_of(row), way_of(row)
-        if ways.get(evaluation) != way:
-            ways[evaluation], latest[evaluation] = way, {}
-        latest[evaluation][row.pair] = row
-    return [row for pairs in latest.values() for row in pairs.values()]
+        last_way[evaluation] = way
+        latest.setdefault(evaluation, {}).setdefault(way, {})[row.pair] = row
+    return [row for it, way in last_way.items() for row in latest[it][way].values()]
 
 
 def by_field(rows: Sequence[Row], name: str) -> dict[Any, list[Row]]:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import jax
 
+from jaxcam.files.paths import read_text
 from jaxcam.files.whole import write_atomically
 
 _log = logging.getLogger(__name__)
@@ -42,7 +43,7 @@ def record_environment(folder: Path) -> None:
     """
     file = folder / "env.txt"
     text = "".join(f"{name} {value}\n" for name, value in environment().items())
-    before = file.read_text("utf-8", errors="replace") if file.exists() else text
+    before = read_text(file, "replace") if file.exists() else text
     if before != text:
         _log.warning(
             "The environment changed, so results are not bit-exact: %s.",

@@ -18,7 +18,7 @@ from jaxcam.config.train import TrainConfig
 from jaxcam.errors import CheckpointError, ConfigError
 from jaxcam.files.jsonl import append_jsonl, line_of
 from jaxcam.files.locks import InUseError, NamedLock
-from jaxcam.files.paths import absolute
+from jaxcam.files.paths import absolute, regular
 from jaxcam.files.whole import write_atomically
 from jaxcam.runs.environment import record_environment
 from jaxcam.runs.identity import differences, read_config
@@ -129,7 +129,7 @@ class RunDir:
         write_atomically(stored, to_json(config))
         now = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
         commands = self.path / "command.txt"
-        with open(commands, "a", encoding="utf-8", errors="surrogateescape") as file:
+        with open(regular(commands), "a", encoding="utf-8", errors="surrogateescape") as file:
             file.write(f"{now}  {shlex.join(command)}\n")
         record_environment(self.path)
 

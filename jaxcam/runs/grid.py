@@ -18,7 +18,7 @@ import dataclasses
 import itertools
 import math
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
@@ -31,10 +31,11 @@ from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, closest
 from jaxcam.files.paths import home, read_text
 from jaxcam.results.protocol import missing, protocol_of
+from jaxcam.results.rows import Row
 from jaxcam.results.stats import Estimate, latest_rows, success_rate
 from jaxcam.runs.identity import differences, full_name, resolve, stored_config
 from jaxcam.runs.metrics import read_metrics
-from jaxcam.runs.rollouts import read_rows, rows_file
+from jaxcam.runs.rollouts import read_run_rows
 from jaxcam.sim import engine_name, make_task
 
 PYTHON = (sys.executable, "-m")
@@ -190,17 +191,30 @@ def read_grid(path: str | Path) -> Grid:
 
 
 def progress_of(run: Planned) -> Standing:
-    """How far a run is, from its folder."""
+    """How far a run is, from its folder.
+
+    Raises:
+        DatasetError: Its metrics or its rows are damaged, or rows in its folder are not its own.
+        ConfigError: Its config.json is damaged.
+    """
     metrics = read_metrics(run.folder)
     step = int(max((row["step"] for row in metrics), default=0))
     rows = [
         row
-        for row in read_rows(rows_file(run.folder))
+        for row in read_run_rows(run.folder)
         if row.split == "test" and row.step in run.steps and row.pair < run.pairs
     ]
     asked = len(run.steps) * run.pairs
-    to_run = sum(len(missing([r for r in rows if r.step == s], run.pairs)) for s in run.steps)
+    to_run = sum(_to_run([r for r in rows if r.step == s], run.pairs) for s in run.steps)
     return Standing(step, asked - to_run, asked, success_rate(latest_rows(rows)))
+
+
+def _to_run(rows: Sequence[Row], pairs: int) -> int:
+    """Pairs that a checkpoint's evaluation lacks: rows of several ways do not make up for them."""
+    ways: dict[Any, list[Row]] = {}
+    for row in rows:
+        ways.setdefault((row.width, row.engine, row.ensemble), []).append(row)
+    return min((len(missing(some, pairs)) for some in ways.values()), default=pairs)
 
 
 def _plan(where: str, runs_dir: Path, given: dict[str, Any], protocol: ProtocolName) -> Planned:

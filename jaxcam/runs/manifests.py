@@ -52,6 +52,42 @@ class Files:
     files: dict[str, str]
 
 
+@dataclass(frozen=True)
+class StartingWeights:
+    """What weights a run started from, as its `weights.json` has it.
+
+    Attributes:
+        file: Their path.
+        kind: What they are; None where nobody knew.
+        sha256: Of the file.
+    """
+
+    file: str = ""
+    kind: str | None = None
+    sha256: str = ""
+
+
+def starting_weights(run: Path) -> StartingWeights | None:
+    """What weights a run started from; None where it has no record of any.
+
+    Args:
+        run: Folder of the run.
+
+    Raises:
+        ConfigError: The record is not what was written.
+    """
+    file = run / "weights.json"
+    if not file.exists():
+        return None
+    try:
+        return as_record(StartingWeights, read_object(file), str(file))
+    except ConfigError as error:
+        raise ConfigError(
+            f"{file} is damaged: {error}. Restore it, or delete it: the weights are then known "
+            "by their path."
+        ) from error
+
+
 def read_object(path: Path) -> dict[str, Any]:
     """The object that a JSON file holds.
 

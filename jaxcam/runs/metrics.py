@@ -5,14 +5,14 @@ from pathlib import Path
 from jaxcam.errors import DatasetError
 from jaxcam.files.jsonl import read_jsonl
 
-Metrics = dict[str, float]
+MetricsRow = dict[str, float]
 """A row: "step", and what was measured there by its name."""
 
 _COUNTS = ("step", "pairs")
 _SHARES = ("success_rate", "low", "high")
 
 
-def read_metrics(run: Path) -> list[Metrics]:
+def read_metrics(run: Path) -> list[MetricsRow]:
     """The rows of a run's `metrics.jsonl` in the order they were written; none if it is missing.
 
     What was not a finite number when it was measured is written as such, and read so.
@@ -31,7 +31,7 @@ def read_metrics(run: Path) -> list[Metrics]:
     return rows
 
 
-def _wrong(row: Metrics) -> str:
+def _wrong(row: MetricsRow) -> str:
     """Why a row is none of metrics; empty if it is one."""
     if "step" not in row:
         return "it has no 'step'."

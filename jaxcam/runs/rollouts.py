@@ -10,7 +10,7 @@ from typing import Any, cast
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import DatasetError
 from jaxcam.files.jsonl import read_jsonl
-from jaxcam.files.paths import absolute
+from jaxcam.files.paths import absolute, read_text
 from jaxcam.results.rows import Row
 from jaxcam.runs.identity import read_config
 
@@ -52,31 +52,74 @@ def read_run_rows(run: Path) -> list[Row]:
     if not rows:
         return []
     config = read_config(run) if (run / "config.json").is_file() else None
-    weights = {step: stored_weights(run, step) for step in {row.step for row in rows}}
-    pairs = {split: _stored_pairs(run, split) for split in {row.split for row in rows}}
-    outcomes: dict[tuple[Any, ...], tuple[Any, ...]] = {}
-    named: str | None = None
+    known = OneRun(
+        {step: stored_weights(run, step) for step in {row.step for row in rows}},
+        {split: _stored_pairs(run, split) for split in {row.split for row in rows}},
+    )
     for number, row in enumerate(rows, start=1):
-        wrong = _settings(row, config)
-        if row.weights_sha:
-            known = weights[row.step] = weights[row.step] or row.weights_sha
-            wrong += _unlike("weights", row.weights_sha, known)
-        elif row.run:
-            named = named or row.run
-            wrong += _unlike("run", row.run, named)
-        wrong += _pair(row, pairs[row.split])
-        if row.finished:
-            outcome = (row.success, row.steps)
-            way = (row.step, row.split, row.width, row.engine, row.ensemble, row.pair)
-            if outcomes.setdefault(way, outcome) != outcome:
-                wrong.append("a second outcome of a rollout that had one")
-        if wrong:
+        if wrong := _settings(row, config) + known.faults(row):
             raise DatasetError(
                 f"{rows_file(run)}, line {number}: this row of pair {row.pair} at step {row.step} "
                 f"is not of this run ({'; '.join(wrong)}). Remove what was put there from "
                 f"elsewhere, or move {run / 'eval'} away and evaluate anew."
             )
     return [replace(row, run=run.name) for row in rows]
+
+
+class OneRun:
+    """What rows of one run share: the weights of a step, the pair of a number, and one outcome.
+
+    Args:
+        weights: Digests of the weights that are known, by step.
+        pairs: Digests of the pairs that are known, by split and number.
+    """
+
+    def __init__(
+        self,
+        weights: Mapping[int, str | None] | None = None,
+        pairs: Mapping[str, dict[int, str]] | None = None,
+    ) -> None:
+        self._weights: dict[int, str | None] = dict(weights or {})
+        self._pairs: dict[str, dict[int, str]] = dict(pairs or {})
+        self._outcomes: dict[tuple[Any, ...], tuple[Any, ...]] = {}
+        self._named: str | None = None
+
+    def faults(self, row: Row) -> list[str]:
+        """In what a row is not of the run of those before it; it is then one of them."""
+        wrong: list[str] = []
+        if row.weights_sha:
+            known = self._weights[row.step] = self._weights.get(row.step) or row.weights_sha
+            wrong += _unlike("weights", row.weights_sha, known)
+        elif row.run:
+            self._named = self._named or row.run
+            wrong += _unlike("run", row.run, self._named)
+        wrong += _pair(row, self._pairs.setdefault(row.split, {}))
+        if row.finished:
+            outcome = (row.success, row.steps)
+            way = (row.step, row.split, row.width, row.engine, row.ensemble, row.pair)
+            if self._outcomes.setdefault(way, outcome) != outcome:
+                wrong.append("a second outcome of a rollout that had one")
+        return wrong
+
+
+def of_one_run(rows: Iterable[tuple[str, Row]]) -> list[Row]:
+    """Rows that are said to be of one run, whose folder is elsewhere.
+
+    Args:
+        rows: Each with where it is: "rows.jsonl, line 3".
+
+    Raises:
+        DatasetError: A row is of other weights or pairs, or a rollout has two outcomes.
+    """
+    known, kept = OneRun(), list[Row]()
+    for where, row in rows:
+        if wrong := known.faults(row):
+            raise DatasetError(
+                f"{where}: this row of pair {row.pair} at step {row.step} is not of the run of "
+                f"those before it ({'; '.join(wrong)}). Remove what was put there from elsewhere."
+            )
+        kept.append(row)
+    return kept
 
 
 def weights_digest(described: Mapping[str, Sequence[Any]]) -> str:
@@ -102,7 +145,7 @@ def stored_weights(run: Path, step: int) -> str | None:
         which those find who load it.
     """
     try:
-        text = (run / "checkpoints" / str(step) / "manifest" / "metadata").read_text("utf-8")
+        text = read_text(run / "checkpoints" / str(step) / "manifest" / "metadata")
         items: dict[str, dict[str, Any]] = {}
         for name, what in json.loads(text)["leaves"].items():
             item, _, rest = name.partition("/")
@@ -148,7 +191,7 @@ def _stored_pairs(run: Path, split: str) -> dict[int, str]:
     if not file.is_file():
         return {}
     try:
-        records = cast(Iterable[Any], json.loads(file.read_text("utf-8"))["pairs"])
+        records = cast(Iterable[Any], json.loads(read_text(file))["pairs"])
         return {number: str(record["sha"]) for number, record in enumerate(records)}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DatasetError(

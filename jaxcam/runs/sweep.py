@@ -15,7 +15,6 @@ from pathlib import Path
 from rich.console import Console, Group
 from rich.live import Live
 from rich.table import Table
-from rich.text import Text
 
 from jaxcam.config.commands import SweepConfig
 from jaxcam.errors import JaxcamError
@@ -27,6 +26,8 @@ from jaxcam.runs.jobs import PREEMPTED, Executor, Here, Job, Started, Submitit
 
 SECONDS = 1.0
 """Between looks at the jobs."""
+LAST_BYTES = 1 << 16
+"""Of a log, in which a run's last words are looked for."""
 _ORDER = ("running", "failed", "waiting", "done")
 
 
@@ -139,7 +140,11 @@ def _outcome(job: Started) -> tuple[int, bool]:
 
 
 def _last_words(log: Path) -> str:
-    lines = log.read_text(errors="replace").splitlines() if log.is_file() else []
+    if not log.is_file():
+        return "it said nothing"
+    with open(log, "rb") as file:
+        file.seek(max(0, log.stat().st_size - LAST_BYTES))
+        lines = file.read(LAST_BYTES).decode(errors="replace").splitlines()
     words = [line.strip(" │╭╮╰╯─") for line in lines[-12:]]
     return next((line for line in reversed(words) if line), "it said nothing")[:200]
 
@@ -155,7 +160,7 @@ def _shown(console: Console, grid: Grid, entries: Sequence[Entry]) -> Iterator[C
                 if shown.get(e.run.name) != (e.state, e.starts):
                     shown[e.run.name] = e.state, e.starts
                     console.print(f"{e.state:>8}  {e.run.name}  {_result(e)} {e.reason}".rstrip(),
-                                  soft_wrap=True, markup=False, highlight=False)  # fmt: skip
+                                  soft_wrap=True, highlight=False)  # fmt: skip
 
         yield say
         say()
@@ -183,13 +188,13 @@ def table(grid: Grid, entries: Sequence[Entry], height: int) -> Group:
     for e in ordered[:room]:
         p = e.progress
         shown.add_row(
-            e.run.name, Text(e.state + (f" ({e.reason})" if e.reason else "")),
+            e.run.name, e.state + (f" ({e.reason})" if e.reason else ""),
             f"{p.step:,} / {e.run.config.steps:,}", f"{p.rollouts} / {p.asked}", _rate(p),
         )  # fmt: skip
     counts = Counter(e.state for e in entries)
     words = [f"{counts[state]} {state}" for state in _ORDER if counts[state]]
     words += [f"{len(ordered) - room} not shown"] if len(ordered) > room else []
-    return Group(shown, Text(", ".join(words)))
+    return Group(shown, ", ".join(words))
 
 
 def _rate(progress: Standing) -> str:
@@ -208,10 +213,10 @@ def main(config: SweepConfig, console: Console) -> int:
     if config.list:
         for entry in map(_entry, grid.runs):
             console.print(f"# {entry.run.name}: {entry.state} {_result(entry)}".rstrip(),
-                          soft_wrap=True, markup=False, highlight=False)  # fmt: skip
+                          soft_wrap=True, highlight=False)  # fmt: skip
             for command in entry.run.commands():
                 words = shlex.join(["python", *command[1:]])
-                console.print(words, soft_wrap=True, markup=False, highlight=False)
+                console.print(words, soft_wrap=True, highlight=False)
         return 0
     executor = (
         Here(config.jobs)
@@ -226,7 +231,6 @@ def main(config: SweepConfig, console: Console) -> int:
         return stopped.exit_code
     failed = [e for e in entries if e.state == "failed"]
     for e in failed:
-        console.print(f"{e.run.name} failed, {e.reason} ({e.log})", style="red", soft_wrap=True,
-                      markup=False)  # fmt: skip
+        console.print(f"{e.run.name} failed, {e.reason} ({e.log})", style="red", soft_wrap=True)
     console.print(f"Compare: python -m jaxcam.report {shlex.quote(str(grid.runs_dir))}")
     return 1 if failed else 0

@@ -21,8 +21,9 @@ import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
 
-from jaxcam.config.fields import as_record, from_json
+from jaxcam.config.fields import as_record, check_least, from_json
 from jaxcam.config.train import TrainConfig
+from jaxcam.console.words import some
 from jaxcam.errors import CheckpointError, ConfigError
 from jaxcam.files.paths import absolute
 from jaxcam.models import FAMILIES, Policy, PolicySpec
@@ -253,19 +254,46 @@ def load_policy_inputs(run_dir: str | Path, step: int | None = None) -> PolicyIn
     )
 
 
+def records_of(inputs: PolicyInputs) -> tuple[Any, PolicySpec]:
+    """The settings and the sizes of a checkpoint's policy.
+
+    Raises:
+        CheckpointError: They are not those of such a policy.
+    """
+    kind = FAMILIES[inputs.config.policy].config
+    try:
+        settings = as_record(kind, inputs.settings, "policy's settings")
+        spec = as_record(PolicySpec, inputs.spec, "policy's sizes")
+        check_least(spec, 1, "action_dim proprio_dim views height width chunk obs_steps")
+    except ConfigError as error:
+        raise CheckpointError(f"Checkpoint {inputs.step} is of another version: {error}") from error
+    return settings, spec
+
+
 def rebuild_policy(inputs: PolicyInputs) -> Policy:
     """The policy of a checkpoint, as it was trained.
 
     Raises:
-        CheckpointError: Its settings or sizes are not those of such a policy.
+        CheckpointError: Its settings, sizes or parameters are not those of such a policy.
+        ConfigError: Its statistics are not.
     """
-    family = FAMILIES[inputs.config.policy]
-    try:
-        settings = as_record(family.config, inputs.settings, "policy's settings")
-        spec = as_record(PolicySpec, inputs.spec, "policy's sizes")
-    except ConfigError as error:
-        raise CheckpointError(f"Checkpoint {inputs.step} is of another version: {error}") from error
-    return family.make(settings, spec, inputs.stats)
+    policy = FAMILIES[inputs.config.policy].make(*records_of(inputs), inputs.stats)
+    if wrong := _misfits(jax.eval_shape(policy.init, jax.random.key(0)), inputs.params):
+        raise CheckpointError(f"Checkpoint {inputs.step} is of another policy: {some(wrong)}.")
+    return policy
+
+
+def _misfits(expected: Any, got: Any) -> list[str]:
+    """In what two trees of arrays, or of their shapes, differ."""
+    wanted, there = (
+        {leaf_name(path): f"{leaf.dtype} {tuple(leaf.shape)}" for path, leaf in leaves}
+        for leaves in map(jax.tree_util.tree_leaves_with_path, (expected, got))
+    )
+    return [
+        f"{name} is {there.get(name, 'missing')}, expected {wanted.get(name, 'nothing')}"
+        for name in sorted(wanted.keys() | there.keys())
+        if wanted.get(name) != there.get(name)
+    ]
 
 
 def checkpoint_steps(run_dir: str | Path) -> list[int]:
@@ -295,20 +323,11 @@ def _fill(where: str, template: TrainState, leaves: Mapping[str, np.ndarray]) ->
         # Runs older than the mask that frozen parameters need lack its level of names.
         leaves = {re.sub("^opt/", MASKED, name): leaf for name, leaf in leaves.items()}
     paths, structure = jax.tree_util.tree_flatten_with_path(template)
-    wanted = {leaf_name(path): f"{leaf.dtype} {tuple(leaf.shape)}" for path, leaf in paths}
-    stored = {name: f"{leaf.dtype} {leaf.shape}" for name, leaf in leaves.items()}
-    wrong = [
-        f"{name} is {stored.get(name, 'missing')}, expected {wanted.get(name, 'nothing')}"
-        for name in sorted(wanted.keys() | stored.keys())
-        if wanted.get(name) != stored.get(name)
-    ]
-    if wrong:
-        more = f"; and {len(wrong) - 5} more" if len(wrong) > 5 else ""
-        raise CheckpointError(
-            f"{where} is of another policy or optimizer: {'; '.join(wrong[:5])}{more}."
-        )
+    names = [leaf_name(path) for path, _ in paths]
+    if wrong := _misfits(template, leaves):
+        raise CheckpointError(f"{where} is of another policy or optimizer: {some(wrong)}.")
     # Copies: an update donates its state, and must not be given memory that NumPy owns.
-    return jax.tree.unflatten(structure, [jnp.array(leaves[name]) for name in wanted])
+    return jax.tree.unflatten(structure, [jnp.array(leaves[name]) for name in names])
 
 
 def _with_tuples(value: Any) -> Any:

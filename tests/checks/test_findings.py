@@ -2,9 +2,8 @@
 
 from io import StringIO
 
-from rich.console import Console
-
 from jaxcam.checks.findings import bad, good, note, show, worst
+from jaxcam.console.terminal import Terminal
 
 
 def test_the_worst_mark_is_that_of_all():
@@ -14,7 +13,7 @@ def test_the_worst_mark_is_that_of_all():
 
 
 def test_a_table_shows_what_is_expected_and_below_it_how_to_mend_it():
-    console = Console(file=StringIO(), width=80)
+    console = Terminal(file=StringIO(), width=80)
     fix = "Write [them] anew."
     findings = (
         good("lengths", got="9 to 11"),

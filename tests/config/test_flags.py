@@ -8,10 +8,11 @@ import time
 
 import pytest
 
-from jaxcam.config.commands import EvaluateConfig
+from jaxcam.config.commands import CheckConfig, EvaluateConfig, WeightsConfig
 from jaxcam.config.datasets import ReplayConfig
 from jaxcam.config.flags import parse
 from jaxcam.config.train import TrainConfig
+from jaxcam.errors import ConfigError
 
 
 def test_flags():
@@ -71,3 +72,33 @@ def test_help_is_fast_and_imports_no_jax():
     assert time.perf_counter() - start < 3
     assert done.returncode == 0
     assert done.stderr.strip() == "set()"
+
+
+@pytest.mark.parametrize(
+    "flags",
+    [
+        ["--model", "width=64", "--model", "heads=4"],
+        ["--seed", "1", "--seed=1"],
+        ["--run-dir", "a", "--run_dir", "b"],
+        ["--distributed", "--no-distributed"],
+    ],
+)
+def test_a_flag_that_is_given_twice_is_refused(flags):
+    """The first `--model` would be forgotten, and another network trained."""
+    with pytest.raises(ConfigError, match=f"{flags[0]} is given twice"):
+        parse(TrainConfig, flags)
+    assert parse(EvaluateConfig, ["--pairs", "3", "--", "-a"]) == EvaluateConfig(("-a",), pairs=3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "given"),
+    [
+        (WeightsConfig, {"source": "a", "task": "square"}),
+        (WeightsConfig, {"source": "a", "export": "b", "action_space": "joint_abs"}),
+        (WeightsConfig, {"source": "a", "run_dir": "b", "step": 3}),
+        (CheckConfig, {"env": True, "out": "a.html"}),
+    ],
+)
+def test_what_would_be_forgotten_is_refused(kind, given):
+    with pytest.raises(ConfigError, match=r"only|leave out"):
+        kind(**given)

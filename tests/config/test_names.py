@@ -13,6 +13,8 @@ from jaxcam.config.names import (
     names_of,
 )
 from jaxcam.config.presets import PRESETS
+from jaxcam.models import FAMILIES
+from jaxcam.sim.actions import ACTION_SPACES
 
 
 def test_tasks_are_the_files_of_the_tasks():
@@ -21,8 +23,6 @@ def test_tasks_are_the_files_of_the_tasks():
 
 
 def test_policies_and_presets_are_those_of_the_models():
-    from jaxcam.models import FAMILIES
-
     assert set(get_args(PolicyName)) == set(FAMILIES)
     assert {(kind, name) for kind, f in FAMILIES.items() for name in f.presets} == set(PRESETS)
     assert {name for _, name in PRESETS} | {"auto"} == set(get_args(PresetName))
@@ -31,8 +31,6 @@ def test_policies_and_presets_are_those_of_the_models():
 
 
 def test_action_spaces_are_those_of_the_paper_and_one_more():
-    from jaxcam.sim.actions import ACTION_SPACES
-
     assert get_args(ActionSpace)[:-1] == ACTION_SPACES
 
 

@@ -1,18 +1,15 @@
-"""How a command ends: exit codes, messages, and what is imported when."""
+"""How a command ends: exit codes, messages, signals."""
 
 import contextlib
 import errno
 import signal
-import subprocess
 import sys
 
 import pytest
-from running import exit_code
 
-from jaxcam import __main__ as table
 from jaxcam import errors
 from jaxcam.config.commands import SweepConfig
-from jaxcam.console.command import Command
+from jaxcam.console.command import CommandLine
 from jaxcam.console.progress import progress
 
 
@@ -23,7 +20,7 @@ def run(monkeypatch):
     def run(main):
         monkeypatch.setattr(sys.modules[__name__], "main", main, raising=False)
         monkeypatch.setitem(sys.modules, "ends", sys.modules[__name__])
-        Command(SweepConfig, "ends:main").run(["grid.yaml"], prog="jaxcam sweep")
+        CommandLine(SweepConfig, "ends:main").run(["grid.yaml"], prog="jaxcam sweep")
 
     return run
 
@@ -131,33 +128,3 @@ def test_what_breaks_since_a_signal_stopped_it_is_no_error(run, capfd):
     with pytest.raises(SystemExit) as stopped:
         run(main)
     assert stopped.value.code == 130
-
-
-def test_the_table_has_every_command_with_a_line(capsys):
-    table.show()
-    shown = capsys.readouterr().out
-    assert "[" not in shown
-    for name in table.NAMES:
-        command, line = table.command(name)
-        assert line.endswith(".")
-        assert line in shown
-        assert command.settings.__doc__
-
-
-@pytest.mark.parametrize("words", [["jaxcam"], ["jaxcam", "--help"]])
-def test_jaxcam_alone_shows_the_table(words):
-    done = subprocess.run([sys.executable, "-m", *words], capture_output=True, text=True)
-    assert done.returncode == 0
-    assert "maniskill" in done.stdout
-
-
-def test_a_command_that_is_not_there_is_told_with_the_closest():
-    done = subprocess.run([sys.executable, "-m", "jaxcam", "tarin"], capture_output=True, text=True)
-    assert done.returncode == 2
-    assert "did you mean 'train'" in done.stderr
-
-
-@pytest.mark.parametrize("name", table.NAMES)
-def test_every_command_has_help(name, capsys):
-    assert exit_code(name, "--help") == 0
-    assert f"jaxcam {name}" in capsys.readouterr().out

@@ -10,8 +10,8 @@ from jaxcam.console import progress as module
 from jaxcam.console.progress import progress
 
 
-def written(total: int, *, every: float, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    monkeypatch.setattr(module, "LINE_SECONDS", every)
+def written(total: int, *, seconds: float, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    monkeypatch.setattr(module, "LINE_SECONDS", seconds)
     file = io.StringIO()
     with progress(Console(file=file), "training", total, done=2) as advance:
         for i in range(total - 2):
@@ -20,7 +20,7 @@ def written(total: int, *, every: float, monkeypatch: pytest.MonkeyPatch) -> lis
 
 
 def test_a_log_gets_a_line_now_and_then(monkeypatch: pytest.MonkeyPatch):
-    lines = written(5, every=0.0, monkeypatch=monkeypatch)
+    lines = written(5, seconds=0.0, monkeypatch=monkeypatch)
     pattern = r"training 3 of 5, \d+:\d\d:\d\d gone, \d+:\d\d:\d\d left  loss 0"
     assert re.fullmatch(pattern, lines[0])
     assert len(lines) == 4
@@ -28,4 +28,4 @@ def test_a_log_gets_a_line_now_and_then(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_a_short_job_leaves_one_line(monkeypatch: pytest.MonkeyPatch):
-    assert len(written(50, every=60.0, monkeypatch=monkeypatch)) == 1
+    assert len(written(50, seconds=60.0, monkeypatch=monkeypatch)) == 1

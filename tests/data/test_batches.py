@@ -1,4 +1,4 @@
-"""Batches are a pure function of (seed, step), and hold what their index names."""
+"""Batches hold what their index names."""
 
 from dataclasses import replace
 
@@ -17,50 +17,10 @@ def dataset(demos, pictures, scene):
     return make_dataset(demos, pictures, "eef_delta", scene)
 
 
-def equal(a, b):
+def assert_equal(a, b):
     assert a.keys() == b.keys()
     for key in a:
         np.testing.assert_array_equal(a[key], b[key], err_msg=key)
-
-
-def test_index_is_a_function_of_seed_and_step(dataset):
-    later = [dataset.samples.index(0, step, 3, 2) for step in range(6)]
-    for step in (5, 0, 3):
-        for a, b in zip(dataset.samples.index(0, step, 3, 2), later[step], strict=True):
-            np.testing.assert_array_equal(a, b)
-    index = dataset.samples.index
-    others = [np.concatenate([index(s, k, 3, 2)[1] for k in range(6)]) for s in (0, 1)]
-    assert (others[0] != others[1]).any()
-
-
-@pytest.mark.parametrize("batch", [1, 3, 4, 11])
-def test_every_epoch_takes_each_demonstration_once(dataset, batch):
-    order = np.concatenate([dataset.samples.index(0, step, batch, 1)[0] for step in range(44)])
-    epochs = order[: len(order) // 4 * 4].reshape(-1, 4)
-    assert (np.sort(epochs, 1) == np.arange(4)).all()
-    assert len({tuple(e) for e in epochs}) > 5
-    # The batch size only cuts the same sequence elsewhere.
-    np.testing.assert_array_equal(order[:44], _sequence(dataset, 44))
-
-
-def _sequence(dataset, count):
-    return np.concatenate([dataset.samples.index(0, step, 1, 1)[0] for step in range(count)])
-
-
-def test_time_steps_are_inside_and_cover_the_demonstration(dataset):
-    demo, t, _ = (np.concatenate(x) for x in zip(
-        *(dataset.samples.index(0, s, 40, 1) for s in range(60)), strict=True
-    ))  # fmt: skip
-    assert (t >= 0).all()
-    assert (t < dataset.lengths[demo]).all()
-    for i in range(4):
-        assert len(np.unique(t[demo == i])) > 0.95 * dataset.lengths[i]
-
-
-def test_views_of_a_sample_are_distinct_and_from_its_window(dataset):
-    _, _, views = dataset.samples.index(0, 0, 200, 2)
-    assert (views[:, 0] != views[:, 1]).all()
-    assert set(views.ravel()) == {0, 1, 2}
 
 
 def test_a_batch_holds_what_its_index_names(dataset, demos, pictures, scene):
@@ -134,6 +94,19 @@ def test_statistics_are_of_the_training_demonstrations(dataset, demos, scene):
         np.testing.assert_allclose(stats[key], value, rtol=1e-3, atol=1e-6, err_msg=key)
 
 
+def test_statistics_of_many_steps_do_not_drift(dataset):
+    """In float32 the mean of 400,000 times 0.3 is 5e-4 off, and that is then the deviation."""
+    count, layout = len(dataset.lengths), dataset.pictures.layout
+    longer = replace(layout, lengths=np.full(count, 100_000))
+    still = {name: np.full((count, 100_000, 3), 0.3, np.float32)
+             for name in ("actions", "keyframes", "proprio")}  # fmt: skip
+    pictures = replace(dataset.pictures, layout=longer)
+    stats = replace(dataset, pictures=pictures, **still).stats()
+    for name in ("action", "keyframe", "proprio"):
+        np.testing.assert_array_equal(stats[f"{name}_mean"], np.float32(0.3))
+        np.testing.assert_array_equal(stats[f"{name}_std"], np.float32(STD_FLOOR))
+
+
 @pytest.mark.parametrize("space", ACTION_SPACES)
 def test_action_spaces_differ_in_actions_alone(space, demos, pictures, scene, dataset):
     other = make_dataset(demos, pictures, space, scene)
@@ -159,10 +132,10 @@ def test_batches_do_not_depend_on_where_reading_starts(dataset):
     assert list(whole) == [0, 2, 4, 6, 8, 10]
     assert whole[0]["image"].shape[:2] == (2, 3)
     for step, batch in stacked_batches(dataset, 5, 6, 12, 2, 3, **sizes):
-        equal(batch, whole[step])
+        assert_equal(batch, whole[step])
     for step, batch in stacked_batches(dataset, 5, 0, 12, 1, 3, **sizes):
         part = {k: v[step % 2] for k, v in whole[step - step % 2].items()}
-        equal({k: v[0] for k, v in batch.items()}, part)
+        assert_equal({k: v[0] for k, v in batch.items()}, part)
 
 
 @pytest.mark.parametrize("shards", [2, 3])
@@ -172,8 +145,11 @@ def test_shards_are_stretches_of_the_same_batches(dataset, shards):
     each = [
         dict(stacked_batches(dataset, 5, 0, 4, 2, 6, (i, shards), **sizes)) for i in range(shards)
     ]
+    assert list(whole) == [0, 2]
+    assert whole[0]["image"].shape[:2] == (2, 6)
+    assert all(part[2]["image"].shape[:2] == (2, 6 // shards) for part in each)
     for step, batch in whole.items():
-        equal({k: np.concatenate([part[step][k] for part in each], 1) for k in batch}, batch)
+        assert_equal({k: np.concatenate([part[step][k] for part in each], 1) for k in batch}, batch)
 
 
 def test_reading_can_stop_early(dataset):
@@ -185,7 +161,7 @@ def test_reading_can_stop_early(dataset):
 
 def test_validation_is_fixed_and_of_held_out_demonstrations(dataset, demos):
     batch = dataset.validation(CHUNK, 1, per_demo=5)
-    equal(batch, dataset.validation(CHUNK, 1, per_demo=5))
+    assert_equal(batch, dataset.validation(CHUNK, 1, per_demo=5))
     assert len(batch["action"]) == 10
     poses = np.unique(batch["base_from_camera"].reshape(-1, 16), axis=0)
     training = dataset.base_from_camera[np.unique(np.concatenate(dataset.windows[:4]))]

@@ -62,10 +62,10 @@ def test_the_papers_cameras_pass(many, demos):
 
 def test_each_camera_is_tried_on_the_grip_of_its_own_demonstrations(demos):
     sights = sights_of(demos)
-    seen = [(demo, int(row)) for demo in demos.episodes for row in demo.cameras]
-    assert sights.rows.tolist() == sorted({row for _, row in seen})
+    filmed = [(demo, int(row)) for demo in demos.episodes for row in demo.cameras]
+    assert sights.rows.tolist() == sorted({row for _, row in filmed})
     for row, points in zip(sights.rows, sights.points, strict=True):
-        places = np.concatenate([demo.eef_pos for demo, camera in seen if camera == row])
+        places = np.concatenate([demo.eef_pos for demo, camera in filmed if camera == row])
         assert (points[:, None] == places).all(-1).any(-1).all()
     assert sights.fovy == pytest.approx(np.deg2rad(demos.header.fovy_deg))
 

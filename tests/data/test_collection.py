@@ -110,8 +110,8 @@ def test_failed_episodes_are_replaced_whatever_was_interrupted(demos, tmp_path, 
                 with pytest.raises(KeyboardInterrupt):
                     collect(config)
             assert not dataset_path(config).exists()
-        found = collect(config)
-        seeds.append([d.seed - FIRST_SEED for d in found.episodes])
+        collected = collect(config)
+        seeds.append([d.seed - FIRST_SEED for d in collected.episodes])
     assert seeds[0] == [0, 7, 2, 15, 4, 5]
     assert seeds[1] == seeds[0]
 
@@ -130,16 +130,16 @@ def test_a_broken_expert_stops_collection_and_keeps_what_there_is(demos, tmp_pat
 def test_what_does_not_replay_is_replaced_and_told(demos, scene, tmp_path, monkeypatch):
     class Unsteady(Sometimes):
         def __call__(self, task, scene, engine, seeds):
-            found = super().__call__(task, scene, engine, seeds)
+            collected = super().__call__(task, scene, engine, seeds)
             states = self.template.states.copy()
             states[:, 1 + scene.qpos_of("cube")] += 0.1  # not where its commands reach
-            return [replace(d, states=states) if d.seed == FIRST_SEED + 1 else d for d in found]
+            return [replace(d, states=states) if d.seed == FIRST_SEED + 1 else d for d in collected]
 
     monkeypatch.setattr(collect_module, "run_expert", Unsteady(demos.train[0], set()))
     console = Console(record=True)
     config = CollectConfig(demos=3, validation=0, data_dir=str(tmp_path))
-    found = collect(config, console)
-    assert [d.seed - FIRST_SEED for d in found.train] == [0, 4, 2]
+    collected = collect(config, console)
+    assert [d.seed - FIRST_SEED for d in collected.train] == [0, 4, 2]
     assert f"those of seeds [{FIRST_SEED + 1}] do not replay" in " ".join(
         console.export_text().split()
     )
@@ -147,8 +147,8 @@ def test_what_does_not_replay_is_replaced_and_told(demos, scene, tmp_path, monke
 
 def test_a_dataset_without_validation_demonstrations(tmp_path, demos, monkeypatch):
     monkeypatch.setattr(collect_module, "run_expert", Sometimes(demos.train[0], set()))
-    found = collect(CollectConfig(demos=2, validation=0, data_dir=str(tmp_path)))
-    assert (len(found.train), found.valid) == (2, [])
+    collected = collect(CollectConfig(demos=2, validation=0, data_dir=str(tmp_path)))
+    assert (len(collected.train), collected.valid) == (2, [])
 
 
 def test_no_dataset_has_episodes_of_the_evaluation():

@@ -2,36 +2,19 @@
 
 import json
 import logging
-import shutil
 
 import h5py
 import numpy as np
 import pytest
 from conftest import TINY
-from spoilt import put, unseal
+from spoilt import assert_refused, put, unseal
 
 from jaxcam.config.datasets import CollectConfig
 from jaxcam.data.collection import collect
-from jaxcam.data.contents import ARRAYS, OLD_SEAL, SEAL
+from jaxcam.data.contents import ARRAYS
 from jaxcam.data.demos import read_demos
 from jaxcam.errors import DatasetError
 from jaxcam.rays import ROTATION_TOLERANCE, stair_cameras
-
-
-@pytest.fixture
-def copy(demos, tmp_path):
-    path = tmp_path / demos.path.name
-    shutil.copy(demos.path, path)
-    return path
-
-
-def refused(path, match, **expected):
-    """Reading fails with that message and leaves the folder as it was."""
-    before = {p: p.read_bytes() for p in path.parent.iterdir() if p.is_file()}
-    with pytest.raises(DatasetError, match=match) as error:
-        read_demos(path, **expected)
-    assert {p: p.read_bytes() for p in path.parent.iterdir() if p.is_file()} == before
-    assert str(path) in str(error.value)
 
 
 def test_layout_is_robomimics(demos):
@@ -46,14 +29,14 @@ def test_layout_is_robomimics(demos):
         assert train == [f"demo_{i}" for i in range(4)]
         assert sorted(train + valid) == sorted(data)
         for name, group in data.items():
-            found = []
+            arrays = []
             group.visititems(
-                lambda key, item, found=found: (
-                    found.append(key) if isinstance(item, h5py.Dataset) else None
+                lambda key, item, arrays=arrays: (
+                    arrays.append(key) if isinstance(item, h5py.Dataset) else None
                 )
             )
-            assert set(found) == set(ARRAYS), name
-            assert all(group[key].fletcher32 for key in found)
+            assert set(arrays) == set(ARRAYS), name
+            assert all(group[key].fletcher32 for key in arrays)
             steps = group.attrs["num_samples"]
             assert group["actions"].shape == (steps, 7)
             assert group["states"].shape == (steps + 1, 1 + header.nq + header.nv)
@@ -76,14 +59,16 @@ def test_a_complete_dataset_is_read_not_collected(demos, data_dir, monkeypatch):
 
 
 def test_missing_file(tmp_path):
-    refused(tmp_path / "none.hdf5", "no such dataset. Make it with: python -m jaxcam.collect")
+    assert_refused(
+        tmp_path / "none.hdf5", "no such dataset. Make it with: python -m jaxcam.collect"
+    )
 
 
 @pytest.mark.parametrize("share", [0.001, 0.3, 0.99])
 def test_truncated_file(copy, share):
     whole = copy.read_bytes()
     copy.write_bytes(whole[: int(share * len(whole))])
-    refused(copy, "damaged or truncated")
+    assert_refused(copy, "damaged or truncated")
 
 
 def test_flipped_byte_in_an_array(copy):
@@ -92,7 +77,7 @@ def test_flipped_byte_in_an_array(copy):
     content = bytearray(copy.read_bytes())
     content[offset + 100] ^= 4
     copy.write_bytes(content)
-    refused(copy, "demo_2: checksum or read error")
+    assert_refused(copy, "demo_2: checksum or read error")
 
 
 def test_flipped_byte_in_the_cameras(copy):
@@ -101,7 +86,7 @@ def test_flipped_byte_in_the_cameras(copy):
     content = bytearray(copy.read_bytes())
     content[offset + 100] ^= 4
     copy.write_bytes(content)
-    refused(copy, "damaged|checksum")
+    assert_refused(copy, "damaged|checksum")
 
 
 def test_flipped_bytes_anywhere_are_noticed_or_harmless(copy, demos):
@@ -112,21 +97,23 @@ def test_flipped_bytes_anywhere_are_noticed_or_harmless(copy, demos):
         content[place] ^= 1 << int(rng.integers(8))
         copy.write_bytes(content)
         try:
-            found = read_demos(copy, task="lift", scene="randomized")
+            read = read_demos(copy, task="lift", scene="randomized")
         except DatasetError:
             continue
-        assert found.fingerprint == demos.fingerprint, place
+        assert read.fingerprint == demos.fingerprint, place
 
 
 def test_not_hdf5(tmp_path):
     path = tmp_path / "page.hdf5"
     path.write_text("<!DOCTYPE html><html>Not found</html>")
-    refused(path, "not an HDF5 file; it starts with b'<!DOCTYP'")
+    assert_refused(path, "not an HDF5 file; it starts with b'<!DOCTYP'")
 
 
 def test_another_task_or_scene(demos):
-    refused(demos.path, "task 'lift', but 'square' was asked.*--task square", task="square")
-    refused(demos.path, "scene 'randomized', but 'fixed' was asked", task="lift", scene="fixed")
+    assert_refused(demos.path, "task 'lift', but 'square' was asked.*--task square", task="square")
+    assert_refused(
+        demos.path, "scene 'randomized', but 'fixed' was asked", task="lift", scene="fixed"
+    )
 
 
 @pytest.mark.parametrize(
@@ -148,41 +135,7 @@ def test_another_task_or_scene(demos):
 def test_what_is_in_the_file_is_checked(copy, spoil, match):
     with h5py.File(copy, "r+") as file:
         spoil(file)
-    refused(copy, match)
-
-
-def test_another_seed_of_an_episode_breaks_the_seal(copy):
-    """An attribute has no checksum; whether an episode is the evaluation's is told by its seed."""
-    with h5py.File(copy, "r+") as file:
-        file["data/demo_2"].attrs["seed"] += 1
-    refused(copy, "damaged: its content is not what was written")
-
-
-CHANGES = {
-    "the grip moved by 5 cm": lambda f: shift(f, "data/demo_1/obs/robot0_eef_pos", 0.05),
-    "the grip in another order": lambda f: reverse(f, "data/demo_1/obs/robot0_eef_pos"),
-    "the grip mirrored": lambda f: scale(f, "data/demo_1/obs/robot0_eef_pos", -1),
-    "a quaternion negated": lambda f: scale(f, "data/demo_1/obs/robot0_eef_quat", -1),
-    "the gripper turned": lambda f: scale(f, "data/demo_5/obs/robot0_gripper", -1),
-    "a larger cube": lambda f: scale(f, "data/demo_0/start/geom_size", 1.01),
-    "another place of the table": lambda f: shift(f, "data/demo_0/start/fixtures", 1e-6),
-    "a state": lambda f: scale(f, "data/demo_0/states", 1 + 1e-9),
-    "a command": lambda f: scale(f, "data/demo_0/actions", 1 + 1e-9),
-    "a camera": lambda f: shift(f, "cameras/world_from_camera", 1e-9),
-    "states of less precision": lambda f: put(
-        f, "data/demo_0/states", f["data/demo_0/states"][:].astype("f4")
-    ),
-    "a mask": lambda f: put(f, "mask/train", [b"demo_5", b"demo_1"]),
-    "no mask": lambda f: f.__delitem__("mask/valid"),
-    "another field of view": lambda f: f["cameras"].attrs.__setitem__("fovy_deg", 46.0),
-    "no field of view": lambda f: f["cameras"].attrs.__delitem__("fovy_deg"),
-    "another length": lambda f: f["data/demo_1"].attrs.__setitem__("num_samples", 3),
-    "another total": lambda f: f["data"].attrs.__setitem__("total", 3),
-    "other settings of robomimic": lambda f: f["data"].attrs.__setitem__("env_args", "{}"),
-    "other versions": lambda f: f["data"].attrs.__setitem__(
-        "jaxcam", f["data"].attrs["jaxcam"].replace("numpy", "numpi")
-    ),
-}
+    assert_refused(copy, match)
 
 
 def shift(file, name, by):
@@ -191,27 +144,6 @@ def shift(file, name, by):
 
 def scale(file, name, by):
     file[name][...] *= by
-
-
-def reverse(file, name):
-    file[name][...] = file[name][:][::-1]
-
-
-@pytest.mark.parametrize("change", CHANGES)
-def test_whatever_is_changed_breaks_the_seal(copy, change):
-    with h5py.File(copy, "r+") as file:
-        CHANGES[change](file)
-    refused(copy, "damaged: its content is not what was written")
-
-
-def test_a_file_of_0_1_has_its_own_seal_only(copy, demos):
-    """It is read, and what that seal covers is still checked."""
-    with h5py.File(copy, "r+") as file:
-        del file["data"].attrs[SEAL]
-    assert read_demos(copy).fingerprint == demos.fingerprint
-    with h5py.File(copy, "r+") as file:
-        shift(file, "data/demo_1/actions", 1e-3)
-    refused(copy, rf"damaged: .* \({OLD_SEAL}\)")
 
 
 IMPOSSIBLE = {
@@ -302,7 +234,7 @@ def test_what_cannot_be_is_refused_without_a_seal_too(copy, case):
     with h5py.File(copy, "r+") as file:
         unseal(file)
         spoil(file)
-    refused(copy, words)
+    assert_refused(copy, words)
 
 
 @pytest.mark.parametrize(
@@ -319,13 +251,13 @@ def test_a_header_of_other_kinds_is_refused(copy, name, value):
         unseal(file)
         about = json.loads(file["data"].attrs["jaxcam"])
         file["data"].attrs["jaxcam"] = json.dumps({**about, name: value})
-    refused(copy, f"header.*{name}|{name} ")
+    assert_refused(copy, f"header.*{name}|{name} ")
 
 
 def test_a_header_that_is_a_list(copy):
     with h5py.File(copy, "r+") as file:
         file["data"].attrs["jaxcam"] = "[1]"
-    refused(copy, "no jaxcam header")
+    assert_refused(copy, "no jaxcam header")
 
 
 def test_cut_demonstration(copy):
@@ -333,7 +265,7 @@ def test_cut_demonstration(copy):
         states = file["data/demo_0/states"][:-1]
         del file["data/demo_0/states"]
         file["data/demo_0"].create_dataset("states", data=states)
-    refused(copy, "actions need .* states")
+    assert_refused(copy, "actions need .* states")
 
 
 @pytest.mark.parametrize(

@@ -16,11 +16,11 @@ from jaxcam.data.hdf5 import (
     array_at,
     check_total,
     group_at,
-    names,
+    names_at,
     numbers,
     open_hdf5,
+    reading,
     text,
-    whole,
 )
 from jaxcam.errors import DatasetError
 
@@ -157,9 +157,9 @@ def test_what_is_of_another_kind_or_size_is_told(tmp_path, read, name, message):
 )
 def test_lists_of_names(tmp_path, name, most, message):
     with opened(with_kinds(tmp_path / "kinds.h5")) as file:
-        assert names(file, "words", 2) == ["a", "b"]
+        assert names_at(file, "words", 2) == ["a", "b"]
         with pytest.raises(DatasetError, match=f"{name}: .*{message}"):
-            names(file, name, most)
+            names_at(file, name, most)
 
 
 def test_what_is_as_expected_is_read(tmp_path):
@@ -170,7 +170,7 @@ def test_what_is_as_expected_is_read(tmp_path):
 
 def test_words_of_the_library_are_not_shown(path):
     for read in (lambda f: f["data/states"], lambda f: f["data"].attrs["states"]):
-        with opened(path) as file, pytest.raises(DatasetError) as error, whole(path, "Copy it."):
+        with opened(path) as file, pytest.raises(DatasetError) as error, reading(path, "Copy it."):
             read(file)
         assert str(error.value) == f"{path}: no 'states' in it. Copy it."
 
@@ -209,10 +209,15 @@ def giant(path, kind):
         if kind == "packed":
             made.id.write_direct_chunk((0, 0), zlib.compress(bytes(1 << 26)))
         if kind == "bomb":
-            bomb, zeros = zlib.compressobj(), bytes(1 << 24)
-            made.id.write_direct_chunk(
-                (0, 0), b"".join(bomb.compress(zeros) for _ in range(200)) + bomb.flush()
-            )
+            made.id.write_direct_chunk((0, 0), bomb(200 << 24))
+
+
+def bomb(size):
+    """Zeros of a multiple of 16 MB as zlib packs them; one such part is packed, and repeated."""
+    packer = zlib.compressobj(wbits=-zlib.MAX_WBITS)
+    part = packer.compress(bytes(1 << 24)) + packer.flush(zlib.Z_FULL_FLUSH)
+    checksum = (size % 65521) << 16 | 1  # Adler-32 of zeros
+    return b"\x78\x9c" + part * (size >> 24) + b"\x03\x00" + checksum.to_bytes(4, "big")
 
 
 PEAK = """

@@ -1,6 +1,7 @@
 """The cache of pictures: made once, resumed, and the picture at an index is the one it names."""
 
 import logging
+import os
 import shutil
 from collections import namedtuple
 
@@ -12,7 +13,6 @@ from jaxcam.data import pictures as pictures_module
 from jaxcam.data.caches import Cache
 from jaxcam.data.pictures import load_pictures
 from jaxcam.errors import DatasetError, SimError
-from jaxcam.rays import Camera
 from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.sim.mujoco.render import Renderer
 from jaxcam.sim.types import View
@@ -161,12 +161,30 @@ def test_a_note_that_says_drawn_over_an_empty_file_is_not_believed(cached, pictu
     assert "0 bytes that cannot be read" in caplog.text
 
 
+@pytest.mark.parametrize("ending", [".sums", ".drawn"])
+def test_giants_and_pipes_for_records_of_a_cache(tmp_path, ending):
+    path, shape = tmp_path / "a.npy", (4, 2, 2, 3)
+    np.lib.format.open_memmap(path.with_suffix(".part"), "w+", np.uint8, shape)
+    record = path.with_suffix(ending)
+    with open(record, "wb") as file:
+        file.truncate(1 << 40)
+    assert not Cache(path, shape).drawn.any()
+    record.unlink()
+    os.mkfifo(record)
+    with pytest.raises(OSError, match="regular"):
+        Cache(path, shape)
+    record.unlink()
+    path.with_suffix(".part").unlink()
+    os.mkfifo(path.with_suffix(".part"))
+    assert Cache(path, shape).rgb is None
+
+
 def test_cached_pictures_are_fresh_renders_of_state_and_camera(demos, pictures, renderer):
-    every = demos.episodes
-    assert len(pictures.rgb) == sum(d.length * len(d.cameras) for d in every)
+    episodes = demos.episodes
+    assert len(pictures.rgb) == sum(d.length * len(d.cameras) for d in episodes)
     rng = np.random.default_rng(0)
-    seen = set()
-    for i, demo in enumerate(every):
+    compared = set()
+    for i, demo in enumerate(episodes):
         t, c = int(rng.integers(demo.length)), int(rng.integers(len(demo.cameras)))
         for t_, c_ in {(t, c), (0, 0), (demo.length - 1, len(demo.cameras) - 1)}:
             view = View(
@@ -178,8 +196,8 @@ def test_cached_pictures_are_fresh_renders_of_state_and_camera(demos, pictures, 
             )
             row = pictures.layout.at(np.array(i), np.array(t_), np.array(c_))
             np.testing.assert_array_equal(pictures.rgb[row], renderer.rgb(view)[0])
-            seen.add(int(row))
-    assert {0, len(pictures.rgb) - 1} <= seen
+            compared.add(int(row))
+    assert {0, len(pictures.rgb) - 1} <= compared
 
 
 def test_every_picture_has_one_place(demos, pictures):
@@ -246,8 +264,8 @@ def test_only_what_is_wanted_is_drawn(elsewhere, pictures, monkeypatch):
     np.testing.assert_array_equal(more.rgb[wanted], pictures.rgb[wanted])
     assert sum(drawn) == wanted.sum()
     assert not any(name.endswith(".npy") for name in pictures_in(elsewhere))
-    every = load_pictures(elsewhere, PIXELS)
-    np.testing.assert_array_equal(every.rgb, pictures.rgb)
+    whole = load_pictures(elsewhere, PIXELS)
+    np.testing.assert_array_equal(whole.rgb, pictures.rgb)
     assert sum(drawn) == pictures.layout.total
     assert [name.rsplit(".", 1)[1] for name in pictures_in(elsewhere)] == ["npy"]
     np.testing.assert_array_equal(some.rgb, pictures.rgb)  # the same file, still open
@@ -285,12 +303,6 @@ def test_other_pictures_have_another_cache(demos, pictures):
     (name,) = set(pictures_in(demos)) - before
     for part in (demos.fingerprint, "-16px-", Renderer.look()):
         assert part in name
-
-
-def test_intrinsics_are_of_the_whole_picture():
-    camera = Camera(intrinsics(45, 84), np.eye(4), 84, 84).validate()
-    np.testing.assert_allclose(np.rad2deg(camera.fovy), 45, rtol=1e-6)
-    np.testing.assert_allclose(intrinsics(45, 84)[:2, 2], 42)
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from jaxcam.data.collection import collect, dataset_path
 from jaxcam.data.demos import read_demos
 from jaxcam.data.writer import DemoWriter, discard, unfinished
 from jaxcam.errors import DatasetError
+from jaxcam.files.locks import NamedLock
 
 Usage = namedtuple("Usage", "total used free")
 
@@ -256,6 +257,22 @@ def test_what_others_put_into_the_folder_stays(tmp_path):
         (writer.part / "notes.txt").write_text("mine")
     discard(path)
     assert os.listdir(unfinished(path)) == ["notes.txt"]
-    unfinished(tmp_path / "file.hdf5").write_bytes(b"an old one")
-    discard(tmp_path / "file.hdf5")
-    assert not unfinished(tmp_path / "file.hdf5").exists()
+
+
+def test_what_others_put_in_the_place_of_an_unfinished_dataset_stays(tmp_path):
+    path = tmp_path / "mine.hdf5"
+    unfinished(path).write_text("my notes")
+    with pytest.raises(DatasetError, match="cannot be opened"):
+        discard(path)
+    assert unfinished(path).read_text() == "my notes"
+    unfinished(path).unlink()
+    lock = NamedLock(unfinished(path) / "lock")
+    unfinished(path).mkdir()
+    (unfinished(path) / "demo_0.npz").write_bytes(b"")
+    lock.take()
+    with pytest.raises(DatasetError, match="in use by another process"):
+        discard(path)
+    assert (unfinished(path) / "demo_0.npz").exists()
+    lock.free()
+    discard(path)
+    assert not unfinished(path).exists()

@@ -91,3 +91,17 @@ def test_a_named_lock_says_who_has_it_and_who_left_it(tmp_path):
     path.write_text("pid 7 on far\n")  # as a killed process leaves it
     assert second.take() == "pid 7 on far"
     second.free()
+
+
+def test_a_file_of_somebody_elses_is_no_lock(tmp_path):
+    """Such as a lock of another program in a folder that is given as --run-dir."""
+    file = tmp_path / "lock"
+    file.write_text("my notes")
+    with pytest.raises(OSError, match="no lock of ours"):
+        NamedLock(file).take()
+    assert file.read_text() == "my notes"
+    file.unlink()
+    os.mkfifo(file)
+    with pytest.raises(OSError, match="regular"):
+        NamedLock(file).take()
+    assert NamedLock(file).held_by() == ""

@@ -14,8 +14,9 @@ from jaxcam.config.datasets import CollectConfig
 from jaxcam.config.fields import to_json
 from jaxcam.config.train import TrainConfig
 from jaxcam.data.collection import dataset_path
+from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.files.jsonl import read_jsonl
-from jaxcam.files.paths import absolute, home
+from jaxcam.files.paths import absolute, home, read_bytes, read_text
 from jaxcam.models import FAMILIES, PolicySpec, make_policy
 from jaxcam.runs.grid import read_grid
 from jaxcam.runs.identity import resolve
@@ -154,3 +155,28 @@ def test_what_paths_mean(tmp_path, monkeypatch):
     os.symlink("deep/er", tmp_path / "link")
     assert absolute("link") == tmp_path / "link"
     assert absolute("link/..") == (tmp_path / "deep").resolve()
+
+
+@pytest.mark.parametrize("make", [absolute, home])
+def test_an_empty_path_is_not_the_working_directory(make):
+    """As `"$RUN"` is where nobody has set it."""
+    with pytest.raises(ConfigError, match="A path is empty"):
+        make("")
+
+
+def test_giants_pipes_and_devices_are_not_read(tmp_path):
+    """Sparse files, which take no disk, would take all memory."""
+    giant, pipe, device = (tmp_path / name for name in ("giant", "pipe", "device"))
+    with open(giant, "wb") as file:
+        file.truncate(1 << 40)
+    os.mkfifo(pipe)
+    device.symlink_to("/dev/zero")
+    for path, words in ((giant, "1099512 MB"), (pipe, "regular"), (device, "regular")):
+        for read in (read_bytes, read_text):
+            with pytest.raises(OSError, match=words):
+                read(path)
+        with pytest.raises(DatasetError, match="cannot be read"):
+            read_jsonl(path)
+    giant.write_bytes(b"a\xff")
+    assert read_text(giant, "replace") == "a\ufffd"
+    assert read_bytes(giant, most=2) == b"a\xff"

@@ -17,16 +17,16 @@ def clip(colour, length, height=48, width=64):
 def decode(path):
     with av.open(str(path)) as container:
         stream = container.streams.video[0]
-        frames = [f.to_ndarray(format="rgb24") for f in container.decode(stream)]
-        return np.stack(frames), stream.codec_context, stream.average_rate
+        pictures = [f.to_ndarray(format="rgb24") for f in container.decode(stream)]
+        return np.stack(pictures), stream.codec_context, stream.average_rate
 
 
 def test_round_trip_keeps_count_size_rate_and_colours(tmp_path):
-    frames = np.concatenate([clip(RED, 5), clip(GREEN, 5), clip(BLUE, 5)])
-    decoded, codec, rate = decode(write_video(tmp_path / "deep" / "a.mp4", frames, fps=20))
-    assert decoded.shape == frames.shape
+    pictures = np.concatenate([clip(RED, 5), clip(GREEN, 5), clip(BLUE, 5)])
+    decoded, codec, rate = decode(write_video(tmp_path / "deep" / "a.mp4", pictures, fps=20))
+    assert decoded.shape == pictures.shape
     assert (codec.name, codec.pix_fmt, float(rate)) == ("h264", "yuv420p", 20.0)
-    assert np.abs(decoded.astype(int) - frames).max() <= 12
+    assert np.abs(decoded.astype(int) - pictures).max() <= 12
     assert list(tmp_path.rglob("*.part")) == []
 
 
@@ -47,14 +47,14 @@ def test_odd_sizes_become_even(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "frames",
+    "pictures",
     [np.zeros((2, 8, 8, 3)), np.zeros((8, 8, 3), np.uint8), np.zeros((0, 8, 8, 3), np.uint8)],
 )
-def test_what_is_not_a_video_is_refused_and_leaves_the_old_file(tmp_path, frames):
+def test_what_is_not_a_video_is_refused_and_leaves_the_old_file(tmp_path, pictures):
     path = tmp_path / "a.mp4"
     path.write_bytes(b"old")
     with pytest.raises(ValueError, match="uint8"):
-        write_video(path, frames)
+        write_video(path, pictures)
     assert path.read_bytes() == b"old"
 
 

@@ -29,18 +29,46 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path):
     place = tmp_path / "deeper" / "out"
 
     def fails():
-        with whole(place) as part:
-            part.mkdir()
+        with whole(place, folder=True) as part:
             (part / "half").write_text("")
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
         fails()
     assert list(place.parent.iterdir()) == []
-    with whole(place) as part:
-        part.mkdir()
+    with whole(place, folder=True) as part:
         (part / "all").write_text("")
     assert [p.name for p in place.iterdir()] == ["all"]
+    with pytest.raises(ConfigError, match="is there"), whole(place, folder=True):
+        pass
+
+
+def test_two_that_make_one_folder_do_not_hurt_each_other(tmp_path):
+    place = tmp_path / "out"
+
+    def second():
+        with whole(place, folder=True) as part:
+            (part / "mine").write_text("")
+            with whole(place, folder=True) as other:
+                (other / "first").write_text("")
+
+    with pytest.raises(ConfigError, match="is there by now"):
+        second()
+    assert [p.name for p in place.iterdir()] == ["first"]
+    assert list(tmp_path.iterdir()) == [place]
+
+
+def test_what_a_killed_writer_left_is_removed_and_what_another_writes_stays(tmp_path, caplog):
+    page, folder = tmp_path / "page.html", tmp_path / "folder"
+    (tmp_path / ".folder.0123456789ab.part").mkdir()
+    for name in (".page.0123456789ab.part.html", ".folder.0123456789ab.part/half", "page.part"):
+        (tmp_path / name).write_text("half")
+    with whole(page) as live:
+        write_atomically(page, "new")
+        with whole(folder, folder=True):
+            assert live.exists()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["folder", "page.html", "page.part"]
+    assert caplog.text.count("which a writer that was killed has left") == 2
 
 
 def test_writers_of_one_file_do_not_meet_and_readers_see_it_whole(tmp_path):
@@ -54,13 +82,13 @@ def test_writers_of_one_file_do_not_meet_and_readers_see_it_whole(tmp_path):
     path = tmp_path / "page.html"
     path.write_text("a" * 200_000)
     writers = [subprocess.Popen([sys.executable, "-c", script, str(path), c]) for c in "ab"]
-    seen = set()
+    contents = set()
     while any(writer.poll() is None for writer in writers):
         text = path.read_text()
         assert len(text) == 200_000
-        seen.add("".join(sorted(set(text))))
+        contents.add("".join(sorted(set(text))))
     assert [writer.wait() for writer in writers] == [0, 0]
-    assert seen <= {"a", "b"}
+    assert contents <= {"a", "b"}
     assert list(tmp_path.iterdir()) == [path]
 
 

@@ -13,8 +13,8 @@ own and this check is run by hand; last with LeRobot 0.4.4 (Python 3.11) and 0.6
 
 It needs the action space eef_abs, whose actions are the file's commands, with rotations counted
 from another grip (`nominal_grip` of meta/jaxcam.json). Every row is compared, and of every episode
-the frames at its ends and in its middle; chunks of actions and a batch of a DataLoader are read as
-training does. It prints what it found or stops.
+the pictures at its ends and in its middle; chunks of actions and a batch of a DataLoader are read
+as training does. It prints what it found or stops.
 """
 
 import argparse
@@ -30,7 +30,7 @@ from lerobot.datasets.lerobot_dataset import LeRobotDataset
 BACKEND = "pyav"
 """LeRobot's decoder that needs no FFmpeg of the system's."""
 LEAST_PSNR = 30.0
-"""Likeness (dB) of a decoded frame to the rendered one; the video is lossy."""
+"""Likeness (dB) of a decoded picture to the rendered one; the video is lossy."""
 
 
 def psnr(a: np.ndarray, b: np.ndarray) -> float:
@@ -49,8 +49,8 @@ def turn(rotvec: np.ndarray) -> np.ndarray:
     return total
 
 
-def check_frames(data: LeRobotDataset, file: h5py.File, pictures: np.ndarray, about: dict) -> float:
-    """Compares rows and frames of every training demonstration; the least likeness."""
+def check_rows(data: LeRobotDataset, file: h5py.File, pictures: np.ndarray, about: dict) -> float:
+    """Compares rows and pictures of every training demonstration; the least likeness."""
     base_from_world = np.linalg.inv(np.array(about["world_from_base"]))
     row, at, worst = 0, 0, np.inf
     for e, name in enumerate(n.decode() for n in file["mask/train"][:]):
@@ -68,8 +68,8 @@ def check_frames(data: LeRobotDataset, file: h5py.File, pictures: np.ndarray, ab
             np.testing.assert_allclose(item["observation.state"][:7], states[t, 1:8], atol=1e-6)
             for v, camera in enumerate(cameras):
                 pose = base_from_world @ file["cameras/world_from_camera"][camera]
-                found = item[f"camera.view_{v}.base_from_camera"]
-                np.testing.assert_allclose(found, pose, atol=1e-6)
+                stored = item[f"camera.view_{v}.base_from_camera"]
+                np.testing.assert_allclose(stored, pose, atol=1e-6)
                 K = item[f"camera.view_{v}.intrinsics"]
                 np.testing.assert_allclose(K, np.array(about["intrinsics"]), rtol=1e-6)
                 if is_shown:
@@ -97,19 +97,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Hold an export against its dataset.")
     parser.add_argument("folder", type=pathlib.Path)
     parser.add_argument("dataset", type=pathlib.Path)
-    parser.add_argument("frames", type=pathlib.Path)
+    parser.add_argument("pictures", type=pathlib.Path)
     args = parser.parse_args()
     about = json.loads((args.folder / "meta/jaxcam.json").read_text())
     assert about["action_space"] == "eef_abs", "export it with --action-space eef_abs"
     data = LeRobotDataset("check", root=args.folder, video_backend=BACKEND)
-    pictures = np.load(args.frames, mmap_mode="r")
+    pictures = np.load(args.pictures, mmap_mode="r")
     with h5py.File(args.dataset) as file:
-        worst = check_frames(data, file, pictures, about)
-    assert worst > LEAST_PSNR, f"a frame is only {worst:.1f} dB like the rendered one"
+        worst = check_rows(data, file, pictures, about)
+    assert worst > LEAST_PSNR, f"a picture is only {worst:.1f} dB like the rendered one"
     check_training(str(args.folder))
     print(
         f"LeRobot {version('lerobot')}: {data.num_episodes} episodes, {len(data)} frames, "
-        f"{len(data.meta.video_keys)} views; frames at least {worst:.1f} dB alike."
+        f"{len(data.meta.video_keys)} views; pictures at least {worst:.1f} dB alike."
     )
 
 

@@ -79,14 +79,14 @@ def make(folder: Path) -> None:
         act = jax.jit(policy.act)
         for t in range(STEPS):
             steps = [max(0, t - back) for back in reversed(range(settings.obs_steps))]
-            seen = {
+            obs = {
                 "image": image[steps].astype(np.uint8).swapaxes(0, 1),
                 "proprio": proprio[steps].swapaxes(0, 1),
                 "K": np.stack([camera[..., :3, :3]] * len(steps), 1),
                 "base_from_camera": np.stack([camera] * len(steps), 1),
             }
-            seen = seen if settings.obs_steps > 1 else {k: v[:, 0] for k, v in seen.items()}
-            chunk = np.asarray(act(params, seen, key))
+            obs = obs if settings.obs_steps > 1 else {k: v[:, 0] for k, v in obs.items()}
+            chunk = np.asarray(act(params, obs, key))
             if rate:
                 now, mean = ensemble(mean + np.zeros_like(chunk), chunk, np.array(t), rate)
                 chunk = now[:, None]
@@ -114,18 +114,18 @@ def check(folder: Path) -> None:
             path, strict=True
         )
         before, after = make_pre_post_processors(policy.config, pretrained_path=path)
-        given, found = np.load(folder / f"{name}.npz"), []
+        given, computed = np.load(folder / f"{name}.npz"), []
         noise = {"noise": torch.from_numpy(given["noise"])} if kind == "diffusion" else {}
         policy.reset()
         for image, proprio in zip(given["image"], given["proprio"], strict=True):
-            seen = {"observation.state": torch.from_numpy(proprio)}
+            obs = {"observation.state": torch.from_numpy(proprio)}
             for v in range(views):
                 picture = torch.from_numpy(image[:, v]).permute(0, 3, 1, 2) / 255
-                seen[f"observation.images.view_{v}"] = picture
+                obs[f"observation.images.view_{v}"] = picture
             if not rate:
                 policy._queues["action"].clear() if kind == "diffusion" else policy.reset()
-            found.append(after(policy.select_action(before(seen), **noise)).numpy())
-        error = np.abs(np.stack(found) - given["actions"]).max() / np.abs(given["actions"]).max()
+            computed.append(after(policy.select_action(before(obs), **noise)).numpy())
+        error = np.abs(np.stack(computed) - given["actions"]).max() / np.abs(given["actions"]).max()
         print(f"{name}: {len(policy.state_dict())} arrays, relative error {error:.1e}", flush=True)
         assert error < TOLERANCE, error
 

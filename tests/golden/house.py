@@ -49,16 +49,16 @@ def measure() -> dict:
     """All that is compared."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        found: dict = {"weights": {}, "rows": {}}
+        record: dict = {"weights": {}, "rows": {}}
         for policy in ("act", "diffusion"):
             jaxcam(folder, "train", "--policy", policy, "--run-dir", policy, *RUN)
-            found["weights"][policy] = weights(folder / policy)
+            record["weights"][policy] = weights(folder / policy)
             lines = (folder / policy / "eval/rows.jsonl").read_text("utf-8").splitlines()
-            found["rows"][policy] = [json.loads(line) for line in lines]
-        found["seal"] = seal(folder / "data")
+            record["rows"][policy] = [json.loads(line) for line in lines]
+        record["seal"] = seal(folder / "data")
         jaxcam(folder, "report", str(RESULTS), "--out", "report")
-        found["report"] = (folder / "report/report.md").read_text("utf-8").splitlines()
-    return found
+        record["report"] = (folder / "report/report.md").read_text("utf-8").splitlines()
+    return record
 
 
 INTERVAL = re.compile(r"\[([-+\d.]+), ([-+\d.]+)\]|(p|\\<) (= |)?(0\.\d+)|= (0\.\d{3})")
@@ -81,26 +81,26 @@ def apart(old: str, new: str) -> str | None:
 
 def differences(old: dict, new: dict) -> list[str]:
     """What differs that must not."""
-    told = [f"weights of {k}" for k, v in old["weights"].items() if new["weights"][k] != v]
-    told += ["seal of the dataset"] if old["seal"] != new["seal"] else []
+    changes = [f"weights of {k}" for k, v in old["weights"].items() if new["weights"][k] != v]
+    changes += ["seal of the dataset"] if old["seal"] != new["seal"] else []
     for policy, rows in old["rows"].items():
         for a, b in zip(rows, new["rows"][policy], strict=True):
             fields = [f for f in a if a[f] != b.get(f)]  # rows may have new ones
-            told += [f"row {a['pair']} of {policy}: {fields}"] if fields else []
+            changes += [f"row {a['pair']} of {policy}: {fields}"] if fields else []
     if len(old["report"]) != len(new["report"]):
-        told.append(f"report: {len(old['report'])} lines -> {len(new['report'])}")
+        changes.append(f"report: {len(old['report'])} lines -> {len(new['report'])}")
     for number, lines in enumerate(zip(old["report"], new["report"], strict=False), start=1):
         if why := apart(*lines):
-            told.append(f"report, line {number}: {why}\n  {lines[0]}\n  {lines[1]}")
-    return told
+            changes.append(f"report, line {number}: {why}\n  {lines[0]}\n  {lines[1]}")
+    return changes
 
 
 def main() -> None:
     if sys.argv[1:] == ["record"]:
         STORED.write_text(json.dumps(measure(), indent=1) + "\n")
     elif sys.argv[1:] == ["compare"]:
-        told = differences(json.loads(STORED.read_text("utf-8")), measure())
-        sys.exit("\n".join(told) if told else print("Nothing differs."))
+        changes = differences(json.loads(STORED.read_text("utf-8")), measure())
+        sys.exit("\n".join(changes) if changes else print("Nothing differs."))
     else:
         sys.exit(__doc__)
 

@@ -95,13 +95,13 @@ def outputs(run, inputs: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     predicted, (mean, log_variance) = run(images, state, target, is_pad)
     kl = (-0.5 * (1 + log_variance - mean**2 - log_variance.exp())).sum(1).mean()
     error = F.l1_loss(predicted, target, reduction="none") * ~is_pad[..., None]
-    found = {
+    tensors = {
         "action": acted * given["action_std"] + given["action_mean"],
         "kl": kl,
         "l1_zeroed": error.mean(),
         "l1_valid": error.sum() / ((~is_pad).sum() * target.shape[-1]),
     }
-    return {f"out_{k}": v.numpy() for k, v in found.items()}
+    return {f"out_{k}": v.numpy() for k, v in tensors.items()}
 
 
 def ensemble() -> dict[str, np.ndarray]:
@@ -119,10 +119,10 @@ def main() -> None:
         inputs = make_inputs(*sizes)
         names = fill(model)
         with torch.no_grad():
-            found = outputs(run, inputs)
+            tensors = outputs(run, inputs)
         inputs["names"] = np.array(json.dumps(names))
-        arrays |= {f"{case}/{k}": v for k, v in (inputs | found).items()}
-        print(case, {k: float(v) for k, v in found.items() if v.ndim == 0})
+        arrays |= {f"{case}/{k}": v for k, v in (inputs | tensors).items()}
+        print(case, {k: float(v) for k, v in tensors.items() if v.ndim == 0})
     path = Path(__file__).with_name("act_public.npz")
     np.savez_compressed(path, **arrays)
     print(f"{path.name}: {path.stat().st_size} bytes")

@@ -181,9 +181,9 @@ def main() -> None:
     arrays = {}
     with torch.no_grad():
         for case, (size, steps) in CASES.items():
-            found = run(case, size, steps)
-            arrays |= {f"{case}/{k}": v for k, v in found.items()}
-            print(case, {k: float(v) for k, v in found.items() if k.startswith("out_loss")})
+            computed = run(case, size, steps)
+            arrays |= {f"{case}/{k}": v for k, v in computed.items()}
+            print(case, {k: float(v) for k, v in computed.items() if k.startswith("out_loss")})
     path = Path(__file__).with_name("diffusion_torch.npz")
     np.savez_compressed(path, **arrays)
     print(f"{path.name}: {path.stat().st_size} bytes")

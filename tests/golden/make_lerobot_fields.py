@@ -191,9 +191,9 @@ def run(kind: str, changes: dict) -> dict:
     before, after = make_pre_post_processors(config, dataset_stats=statistics())
     record["shapes"] = shapes
     steps = config.n_obs_steps
-    seen, actions = observation(steps), []
+    obs, actions = observation(steps), []
     policy.reset()
-    for image, state in zip(seen["image"], seen["proprio"], strict=True):
+    for image, state in zip(obs["image"], obs["proprio"], strict=True):
         batch = {"observation.state": torch.from_numpy(state)}
         for v in range(VIEWS):
             picture = torch.from_numpy(image[v]).permute(2, 0, 1) / 255

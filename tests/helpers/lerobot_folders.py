@@ -8,10 +8,16 @@ import av
 import cv2
 import numpy as np
 import pyarrow as pa
+import pytest
 from pyarrow import parquet
+
+from jaxcam.errors import DatasetError
+from jaxcam.interop.lerobot.reading import read_lerobot
 
 HEIGHT, WIDTH, RATE = 48, 64, 20
 LENGTHS = (6, 4, 9)
+EPISODES = "meta/episodes/chunk-000/file-000.parquet"
+TOP = "observation.images.top"
 TASKS = ("Pick the cup up.", "Put the cup down.")
 VERSIONS = ("v3.0", "v2.1")
 _EPISODE = "episode_{episode_index:06d}"
@@ -246,3 +252,29 @@ def _write_meta(root, version, dtype, files, keys, start):
 
 def _write_lines(path: Path, rows):
     path.write_text("\n".join(json.dumps(row) for row in rows))  # the last line has no end
+
+
+def shown(episode, view="top"):
+    return np.stack(list(episode.sights[view].decode()))
+
+
+def psnr(a, b):
+    error = np.mean((a.astype(float) - b) ** 2)
+    return 10 * np.log10(255**2 / error) if error else np.inf
+
+
+def check_pictures(recording, made, least=35.0):
+    for e, episode in enumerate(recording.episodes):
+        for view, key in zip(recording.views, made.pictures, strict=True):
+            decoded, wanted = shown(episode, view), np.stack(made.pictures[key][e])
+            assert decoded.shape == wanted.shape
+            assert decoded.dtype == np.uint8
+            assert psnr(decoded, wanted) >= least
+
+
+def refused(root, match, **asked):
+    """Reading ends in one line, before any episode is decoded."""
+    with pytest.raises(DatasetError, match=match) as caught:
+        read_lerobot(root, **asked)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)

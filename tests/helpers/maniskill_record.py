@@ -76,7 +76,7 @@ def _euler(rotation: np.ndarray) -> np.ndarray:
 
 def controller_targets() -> dict[str, np.ndarray]:
     """Actions, joint angles and targets (poses, or joint angles) of each mode, by `mode/what`."""
-    found, rng = {}, np.random.default_rng(0)
+    arrays, rng = {}, np.random.default_rng(0)
     env = make("PushCube-v1", "pd_ee_pose")
     modes = [m for m in env.unwrapped.agent.supported_control_modes if m in SIZES]
     for mode in modes:
@@ -100,8 +100,8 @@ def controller_targets() -> dict[str, np.ndarray]:
             rows["joints"].append(joints)
             rows["targets"].append(target[0].numpy().astype(float))
         rows["joints"].append(inner.agent.robot.get_qpos()[0, :7].numpy().astype(float))
-        found |= {f"{mode}/{what}": np.stack(values) for what, values in rows.items()}
-    return found
+        arrays |= {f"{mode}/{what}": np.stack(values) for what, values in rows.items()}
+    return arrays
 
 
 def make(name: str, mode: str) -> Any:
@@ -113,8 +113,8 @@ def make(name: str, mode: str) -> Any:
 def main() -> None:
     folder, *cases = sys.argv[1:]
     for case in cases:
-        name, _, told = case.partition("=")
-        env, mode, *seeds = told.split(",")
+        name, _, how = case.partition("=")
+        env, mode, *seeds = how.split(",")
         recorded = RecordEpisode(make(env, mode), folder, trajectory_name=name, save_video=False)
         show = Show(recorded, mode)
         for seed in map(int, seeds):

@@ -3,12 +3,23 @@
 import shutil
 
 import h5py
+import pytest
 
 from jaxcam.checks.dataset import check_physics
 from jaxcam.checks.examine import check_dataset
 from jaxcam.data.contents import OLD_SEAL, SEAL
 from jaxcam.data.demos import read_demos
+from jaxcam.errors import DatasetError
 from jaxcam.sim import make_task
+
+
+def assert_refused(path, match, **expected):
+    """Reading fails with that message and leaves the folder as it was."""
+    before = {p: p.read_bytes() for p in path.parent.iterdir() if p.is_file()}
+    with pytest.raises(DatasetError, match=match) as error:
+        read_demos(path, **expected)
+    assert {p: p.read_bytes() for p in path.parent.iterdir() if p.is_file()} == before
+    assert str(path) in str(error.value)
 
 
 def unseal(file):

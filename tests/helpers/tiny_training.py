@@ -18,6 +18,10 @@ from jaxcam.data.batches import Dataset
 from jaxcam.data.pairs import Pairs
 from jaxcam.data.pictures import Pictures
 from jaxcam.data.samples import Layout
+from jaxcam.devices import check_same, copied, data_mesh, is_first, joined, shard
+from jaxcam.errors import ConfigError, DatasetError
+from jaxcam.evaluation.checkpoint import Wanted, evaluate
+from jaxcam.evaluation.evaluator import Acting, Candidate
 from jaxcam.interrupts import Interrupt
 from jaxcam.models import Policy, PolicySpec
 from jaxcam.results.rows import Row
@@ -70,8 +74,8 @@ def policy(noise=0.1):
 
     def act(params, obs, key):
         image = obs["image"].astype(jnp.float32).mean((1, 2, 3)) / 128 - 1
-        seen = jnp.concatenate([image, obs["proprio"]], -1)
-        return (seen @ params["w"]).reshape(-1, *shape)
+        features = jnp.concatenate([image, obs["proprio"]], -1)
+        return (features @ params["w"]).reshape(-1, *shape)
 
     def loss(params, batch, key):
         error = act(params, batch, None) - batch["action"]
@@ -138,36 +142,30 @@ class PairsEvaluator:
 
 def scenes(folder):
     """What each of several processes does; process i writes to `folder` only if i is 0."""
-    from jaxcam.devices import check_same, data_mesh, is_first, shard
-    from jaxcam.errors import ConfigError
-    from jaxcam.evaluation.checkpoint import Wanted, evaluate
-    from jaxcam.evaluation.evaluator import Candidate
 
-    found = {"shard": shard(), "devices": data_mesh(12).size}
+    record = {"shard": shard(), "devices": data_mesh(12).size}
     mine = folder if is_first() else folder / "elsewhere" / folder.name
     fit(settings(mine / "run", steps=3), write=is_first())
     state = fit(settings(mine / "run"), write=is_first())[0]  # restored from what was saved
-    found["step"], found["w"] = int(state.step), np.asarray(state.params["w"]).tolist()
+    record["step"], record["w"] = int(state.step), np.asarray(state.params["w"]).tolist()
     stop = Interrupt()
     if not is_first():  # only one process is told
         stop.signal = signal.SIGTERM
     state = fit(settings(mine / "stopped"), stop=stop, write=is_first())[0]
-    found["stopped"] = int(state.step)
+    record["stopped"] = int(state.step)
     evaluator = PairsEvaluator()
     candidate = Candidate(None, None, mine, 7)  # pyright: ignore
     estimate = evaluate(evaluator, candidate, Wanted(pairs=7))  # pyright: ignore
-    found["ran"], found["estimate"] = evaluator.ran, [estimate.value, estimate.n]
+    record["ran"], record["estimate"] = evaluator.ran, [estimate.value, estimate.n]
     try:
         check_same("demonstrations", "abc" if is_first() else "xyz")
     except ConfigError as error:
-        found["different"] = str(error)
-    return found
+        record["different"] = str(error)
+    return record
 
 
 def act_on_all_devices():
     """A batch of rollouts asks the policy once, on four devices, and gets what one gives."""
-    from jaxcam.devices import copied, data_mesh
-    from jaxcam.evaluation.evaluator import Acting
 
     rng, tiny = np.random.default_rng(0), policy()
     obs = {"image": rng.integers(0, 256, (8, 1, PIXELS, PIXELS, 3), np.uint8),
@@ -183,8 +181,6 @@ def act_on_all_devices():
 
 
 def main():
-    from jaxcam.devices import joined
-    from jaxcam.errors import DatasetError
 
     what, folder = sys.argv[1], Path(sys.argv[2])
     if what == "one":
@@ -199,8 +195,8 @@ def main():
             raise DatasetError("nothing there")
         if what == "fail":
             fit(settings(folder / "run"), write=False)
-        found = scenes(folder)
-    (folder / f"found-{index}.json").write_text(json.dumps(found))
+        record = scenes(folder)
+    (folder / f"record-{index}.json").write_text(json.dumps(record))
 
 
 if __name__ == "__main__":

@@ -27,4 +27,4 @@ class Page(HTMLParser):
             self.text += data + " "
 
     def attributes(self, tag, name):
-        return [attrs.get(name) for found, attrs in self.tags if found == tag]
+        return [attrs.get(name) for name_of_tag, attrs in self.tags if name_of_tag == tag]

@@ -49,8 +49,8 @@ def test_splits_are_the_files(tmp_path, count, masks, settings, train, valid):
     everything = [f"demo_{i}" for i in range(count)]
     with h5py.File(path) as file:
         lists = Masks.of(path, file, everything)
-        found = lists.split(settings.get("filter_key"), settings.get("validation"))
-    assert found == ([f"demo_{i}" for i in train], [f"demo_{i}" for i in valid])
+        halves = lists.split(settings.get("filter_key"), settings.get("validation"))
+    assert halves == ([f"demo_{i}" for i in train], [f"demo_{i}" for i in valid])
 
 
 @pytest.mark.parametrize(

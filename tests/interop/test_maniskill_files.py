@@ -5,10 +5,12 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
 import pytest
+from odd_files import flipped, odd_texts
 from places import HELPERS
 from running import exit_code
 
@@ -18,6 +20,7 @@ from jaxcam.data.demos import read_demos
 from jaxcam.data.pictures import load_pictures
 from jaxcam.data.splits import FIRST_SEED
 from jaxcam.errors import DatasetError
+from jaxcam.interop import maniskill_files
 from jaxcam.interop.formats import recognise
 from jaxcam.interop.importing import succeeds
 from jaxcam.interop.maniskill import import_trajectories
@@ -41,7 +44,7 @@ CASES = {
 def recorded(maniskill, tmp_path_factory):
     """A folder with what ManiSkill's own recorder wrote."""
     folder = tmp_path_factory.mktemp("recorded")
-    cases = [f"{name}={told}" for name, told in CASES.items()]
+    cases = [f"{name}={how}" for name, how in CASES.items()]
     script = HELPERS / "maniskill_record.py"
     ran = subprocess.run(
         [sys.executable, script, folder, *cases], capture_output=True, text=True, check=False
@@ -77,14 +80,14 @@ def test_targets_are_those_of_maniskills_controllers(recorded, mode):
 
 
 def test_states_cameras_and_targets_are_carried_over(recorded, tmp_path):
-    found = imported(recorded, "push", tmp_path / "out.hdf5")
-    assert found.names == ["traj_0", "traj_1"]
-    assert found.dropped == {"traj_2": "failed when it was recorded"}
-    header, demo = found.demos.header, found.demos.train[0]
+    result = imported(recorded, "push", tmp_path / "out.hdf5")
+    assert result.names == ["traj_0", "traj_1"]
+    assert result.dropped == {"traj_2": "failed when it was recorded"}
+    header, demo = result.demos.header, result.demos.train[0]
     assert (header.task, header.scene, header.train, header.valid) == ("push", "randomized", 1, 1)
     assert (header.n, header.m, demo.seed) == (3, 1, FIRST_SEED)
     assert demo.cameras.tolist() == [0, 1, 2]
-    assert found.demos.valid[0].cameras.tolist() == [3]
+    assert result.demos.valid[0].cameras.tolist() == [3]
     assert "PushCube-v1" in header.versions["imported"]
     with h5py.File(recorded / "push.h5") as file:
         states = file["traj_0/env_states"]
@@ -108,7 +111,7 @@ def test_pictures_are_rendered_from_recorded_states(recorded, tmp_path):
     side, demo = 48, demos.train[0]
     pictures = load_pictures(demos, side)
     camera = Camera.from_fovy(np.deg2rad(demos.header.fovy_deg), side, side, np.eye(4))
-    found = []
+    distances = []
     for row in (np.array(0), np.array(demo.length - 1)):
         for slot, pose in enumerate(demos.header.world_from_camera[demo.cameras]):
             picture = pictures.rgb[pictures.layout.at(0, row, slot)].astype(int)
@@ -116,9 +119,9 @@ def test_pictures_are_rendered_from_recorded_states(recorded, tmp_path):
             uv, _ = replace(camera, world_from_camera=pose).project(demo.states[row, 10:13])
             if blue.sum() > 8 and (abs(uv - side / 2) < side / 2 - 6).all():
                 middle = np.argwhere(blue).mean(0)[::-1] + 0.5
-                found.append(np.linalg.norm(middle - uv))
-    assert len(found) >= 2
-    assert max(found) < 4
+                distances.append(np.linalg.norm(middle - uv))
+    assert len(distances) >= 2
+    assert max(distances) < 4
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -126,13 +129,13 @@ def test_replay_takes_the_file_and_all_of_it_still_works(
     name, recorded, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
-    told, code = replayed(capsys, recorded / f"{name}.h5")
-    assert code == 0, told
+    printed, code = replayed(capsys, recorded / f"{name}.h5")
+    assert code == 0, printed
     for space in ACTION_SPACES:
-        assert f"{space} │ 2 of 2 │ 100.0%" in told
+        assert f"{space} │ 2 of 2 │ 100.0%" in printed
     data = read_demos(Path(f"data/{name}-randomized-{name}.hdf5"), task=name)
     assert (len(data.train), len(data.valid)) == (1, 1)
-    assert ("traj_2: failed when it was recorded" in told) == (name == "push")
+    assert ("traj_2: failed when it was recorded" in printed) == (name == "push")
 
 
 def test_the_doctor_examines_a_file_as_it_would_be_imported(recorded):
@@ -151,11 +154,11 @@ def test_replay_says_why_a_demonstration_is_lost(recorded, tmp_path, monkeypatch
     with h5py.File(tmp_path / "peg.h5", "r+") as file:
         file["traj_1/actions"][15:] = file["traj_1/actions"][14]  # stands still; its states do not
     monkeypatch.chdir(tmp_path)
-    told, code = replayed(capsys, "peg.h5", "--action-space", "eef_abs")
+    printed, code = replayed(capsys, "peg.h5", "--action-space", "eef_abs")
     assert code == 1
-    assert "1 of 2" in told
-    assert "eef_abs, traj_1: from control step" in told
-    assert "the peg is elsewhere than it was recorded" in told
+    assert "1 of 2" in printed
+    assert "eef_abs, traj_1: from control step" in printed
+    assert "the peg is elsewhere than it was recorded" in printed
 
 
 def trajectory(folder, *, done=True, env="PushCube-v1", settings=None, mode="pd_joint_pos", base=0):
@@ -177,8 +180,8 @@ def trajectory(folder, *, done=True, env="PushCube-v1", settings=None, mode="pd_
         file["traj_0/env_states/actors/cube"] = cube
         file["traj_0/env_states/actors/goal_region"] = goal
     info = {"env_id": env, "env_kwargs": settings or {}}
-    told = {"env_info": info, "episodes": [{"episode_id": 0, "control_mode": mode}]}
-    path.with_suffix(".json").write_text(json.dumps(told))
+    about = {"env_info": info, "episodes": [{"episode_id": 0, "control_mode": mode}]}
+    path.with_suffix(".json").write_text(json.dumps(about))
     return path
 
 
@@ -343,3 +346,21 @@ def test_nothing_is_written_of_failures_nor_over_a_dataset(maniskill, tmp_path):
     imported(tmp_path, "made", out, validation=0)
     with pytest.raises(DatasetError, match=r"out.hdf5 exists"):
         imported(tmp_path, "made", out, validation=0)
+
+
+def test_odd_values_and_flipped_bits_of_the_json_are_read_or_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(maniskill_files, "make_task", lambda name: SimpleNamespace(scene=str))
+    (tmp_path / "a.h5").write_bytes(b"read later")
+    episode = {"episode_id": 0, "control_mode": "pd_joint_pos", "success": True}
+    env = {"env_id": "PushCube-v1", "env_kwargs": {"sim_config": {"control_freq": 20}}}
+    whole = {"env_info": env, "episodes": [episode, episode], "source_type": "motionplanning"}
+    texts = [text.encode("utf-8", "surrogatepass") for text in odd_texts([whole])]
+    refused = 0
+    for content in [*texts, *flipped(json.dumps(whole).encode())]:
+        (tmp_path / "a.json").write_bytes(content)
+        try:
+            read_source(ManiskillConfig(file=str(tmp_path / "a.h5")))
+        except DatasetError as error:
+            refused += 1
+            str(error).encode("utf-8", "surrogatepass")
+    assert refused > 30

@@ -154,9 +154,9 @@ def test_absolute_actions_are_targets(tmp_path, lift, files, version):
 
 
 def test_without_actions_the_fingers_tell_the_gripper(tmp_path, files):
-    told = imported(files["1.5"], validation=0).train
+    chosen = imported(files["1.5"], validation=0).train
     path = write(tmp_path / "states.hdf5", recorded("1.5"), leave_out=["actions"])
-    for a, b in zip(told, imported(path, actions="states", validation=0).train, strict=True):
+    for a, b in zip(chosen, imported(path, actions="states", validation=0).train, strict=True):
         closes = [int(np.argmax(d.actions[:, 6] > 0)) for d in (a, b)]
         assert 0 <= closes[1] - closes[0] <= 1
         assert (b.actions[closes[1] :, 6] == 1).all()
@@ -253,13 +253,15 @@ def test_files_that_are_none(tmp_path, files):
 def test_nothing_is_overwritten_and_a_half_import_begins_anew(tmp_path, files):
     out = tmp_path / "lift.hdf5"
     config = RobomimicConfig(file=str(files["1.5"]), out=str(out))
-    out.with_name("lift.hdf5.part").write_bytes(b"half of another")
+    part = out.with_name("lift.hdf5.part")
+    part.mkdir()
+    (part / "demo_0.npz").write_bytes(b"half of another")
     import_demos(config)
     before = out.read_bytes()
     with pytest.raises(DatasetError, match=r"exists\. Choose another --out"):
         import_demos(config)
     assert out.read_bytes() == before
-    assert not out.with_name("lift.hdf5.part").exists()
+    assert not part.exists()
 
 
 def test_delta_actions_of_an_imported_demonstration_are_small(files):

@@ -74,9 +74,9 @@ def test_files_that_a_model_names_are_not_opened(tmp_path, parts, lift):
     xml = xml.replace("<worldbody>", "<worldbody>" + geoms)
     assert geoms in xml
     assert assets in xml
-    found = origin_of(xml, parts, lift)
-    np.testing.assert_array_equal(found.world_from_theirs, wanted.world_from_theirs)
-    np.testing.assert_array_equal(found.geom_size, wanted.geom_size)
+    origin = origin_of(xml, parts, lift)
+    np.testing.assert_array_equal(origin.world_from_theirs, wanted.world_from_theirs)
+    np.testing.assert_array_equal(origin.geom_size, wanted.geom_size)
 
 
 @pytest.mark.parametrize(

@@ -69,17 +69,17 @@ def test_crop_then_rays_equals_rays_then_crop(cropped):
 
 
 def test_every_view_draws_its_own_square_in_range(cropped):
-    found = source(cropped)
-    extent = np.ptp(found, axis=(2, 3)) + 1
-    assert found.min() == 0
+    sources = source(cropped)
+    extent = np.ptp(sources, axis=(2, 3)) + 1
+    assert sources.min() == 0
     assert extent.min() >= 0.6 * 40 - 1
     assert (extent <= [HEIGHT, WIDTH]).all()
     assert len(np.unique(extent[..., 1])) > 8
     np.testing.assert_allclose(extent[..., 0] / HEIGHT, extent[..., 1] / WIDTH, atol=0.06)
-    corners = found[:, :, 0, 0]
+    corners = sources[:, :, 0, 0]
     assert (corners[:, 0] != corners[:, 1]).any(-1).mean() > 0.8
     assert len(np.unique(corners.reshape(-1, 2), axis=0)) > BATCH
-    assert (found[:, :, -1, -1] <= [HEIGHT - 1, WIDTH - 1]).all()
+    assert (sources[:, :, -1, -1] <= [HEIGHT - 1, WIDTH - 1]).all()
     np.testing.assert_array_equal(cropped["action"], np.arange(BATCH))
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from jaxcam.errors import ConfigError
 from jaxcam.models.normalization import (
     RANGE_FLOOR,
     STD_FLOOR,
@@ -55,3 +56,13 @@ def test_keyframes_are_standardised_by_what_is_stored():
     scale = keyframe_deviation(STATS | {"keyframe_std": np.float32([2, 3, STD_FLOOR])})
     np.testing.assert_array_equal(scale.size, np.float32([2, 3, STD_FLOOR]))
     np.testing.assert_array_equal(scale.middle, STATS["keyframe_mean"])
+
+
+@pytest.mark.parametrize("value", [None, "x", [[0.0]], [0.0, float("nan"), 1.0], ["a"]])
+def test_statistics_that_are_none_are_refused(value):
+    """Those of a checkpoint that somebody edited are not."""
+    stats = {k: v for k, v in STATS.items() if k != "action_max"}
+    if value is not None:
+        stats["action_max"] = np.array(value)
+    with pytest.raises(ConfigError, match="Statistics: action_max is"):
+        action_range(stats)

@@ -22,7 +22,7 @@ from jaxcam.models.diffusion.network import Diffusion
 from jaxcam.models.diffusion.samplers import add_noise, cosine_alphas
 from jaxcam.models.policy import pure
 from jaxcam.models.weights.load import Weights, load
-from jaxcam.models.weights.names import recognise
+from jaxcam.models.weights.names import name_map_of
 
 CASES = ("paper", "lerobot", "original")
 
@@ -45,10 +45,10 @@ def weight(name, shape):
 def converted(names, prefix, params):
     """Our parameters, from a checkpoint of a network with these names and shapes."""
     arrays = {prefix + n: weight(n, tuple(s)) for n, s in json.loads(str(names)).items()}
-    return load(Weights(Path("golden.safetensors"), arrays, recognise(list(arrays)), ""), params)
+    return load(Weights(Path("golden.safetensors"), arrays, name_map_of(list(arrays)), ""), params)
 
 
-def close(ours, theirs, tolerance=1e-4):
+def assert_close(ours, theirs, tolerance=1e-4):
     """Within a relative error of the largest value, which is what a float32 sum can promise."""
     error = np.abs(np.asarray(ours) - theirs).max() / np.abs(theirs).max()
     assert error < tolerance, error
@@ -71,8 +71,8 @@ def as_batch(policy, given):
     """The golden observation; a policy of one step has no axis for steps."""
     if policy.spec.obs_steps > 1:
         return given
-    seen = ("image", "K", "base_from_camera", "proprio")
-    return given | {k: given[k][:, 0] for k in seen}
+    observed = ("image", "K", "base_from_camera", "proprio")
+    return given | {k: given[k][:, 0] for k in observed}
 
 
 @pytest.fixture
@@ -80,8 +80,8 @@ def draws(monkeypatch):
     """Makes the policy draw what the golden script did."""
 
     def use(*normals, t=None):
-        left = list(normals)
-        monkeypatch.setattr(jax.random, "normal", lambda key, shape: left.pop(0).reshape(shape))
+        waiting = list(normals)
+        monkeypatch.setattr(jax.random, "normal", lambda key, shape: waiting.pop(0).reshape(shape))
         monkeypatch.setattr(jax.random, "randint", lambda key, shape, low, high: jnp.asarray(t))
 
     return use
@@ -104,9 +104,9 @@ def test_noise_prediction_of_diffusion_policy(case):
         action[1, 5:] = action[1, 4]
     noisy = add_noise(cosine_alphas(100), jnp.asarray(action), given["noise"], given["t"])
     net = network(params)
-    told = jit(net.condition)(obs, jnp.asarray(proprio))
-    close(told[0], given["out_condition"])
-    close(jit(net.unet)(noisy, given["t"], *told), given["out_predicted"])
+    features = jit(net.condition)(obs, jnp.asarray(proprio))
+    assert_close(features[0], given["out_condition"])
+    assert_close(jit(net.unet)(noisy, given["t"], *features), given["out_predicted"])
 
 
 @pytest.mark.parametrize(("case", "padding"), [
@@ -117,7 +117,7 @@ def test_loss_of_diffusion_policy(case, padding, draws):
     policy, params, given = diffusion(case, padding=padding)
     draws(given["noise"], t=given["t"])
     _, metrics = jit(policy.loss)(params, as_batch(policy, given), None)
-    close(metrics["mse"], given[f"out_loss_{padding}"])
+    assert_close(metrics["mse"], given[f"out_loss_{padding}"])
 
 
 @pytest.mark.parametrize("sampler", ["ddpm", "ddim"])
@@ -126,7 +126,7 @@ def test_ten_steps_of_sampling(case, sampler, draws):
     policy, params, given = diffusion(case, sampler=sampler)
     draws(given["noise"], given["fresh"])
     actions = jit(policy.act)(params, as_batch(policy, given), jax.random.key(0))
-    close(actions, given[f"out_{sampler}"])
+    assert_close(actions, given[f"out_{sampler}"])
 
 
 @cache
@@ -147,7 +147,7 @@ def act(case, **changes):
 @pytest.mark.parametrize("case", ["lerobot", "original"])
 def test_action_chunk_of_act(case):
     policy, params, batch = act(case)
-    close(jit(policy.act)(params, batch, None), batch["out_action"])
+    assert_close(jit(policy.act)(params, batch, None), batch["out_action"])
 
 
 @pytest.mark.parametrize(("case", "padding"), [("lerobot", "zeroed"), ("lerobot", "valid"),
@@ -155,6 +155,6 @@ def test_action_chunk_of_act(case):
 def test_loss_of_act(case, padding):
     policy, params, batch = act(case, padding=padding)
     loss, metrics = jit(policy.loss)(params, batch, None)
-    close(metrics["l1"], batch[f"out_l1_{padding}"])
-    close(metrics["kl"], batch["out_kl"])
-    close(loss, batch[f"out_l1_{padding}"] + 10 * batch["out_kl"])
+    assert_close(metrics["l1"], batch[f"out_l1_{padding}"])
+    assert_close(metrics["kl"], batch["out_kl"])
+    assert_close(loss, batch[f"out_l1_{padding}"] + 10 * batch["out_kl"])

@@ -1,7 +1,9 @@
 """Conversions, each against the project it converts from or the numbers that project defines."""
 
 import json
+import os
 import warnings
+from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
@@ -115,7 +117,7 @@ def test_rays_hit_what_mujoco_says_is_there(scene):
 def test_robosuite_matrices(scene):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        from robosuite.utils import camera_utils
+        from robosuite.utils import camera_utils  # here, since it warns of what it lacks
     model, data = scene
     names = SimpleNamespace(camera_name2id=lambda _: 0, cam_fovy=model.cam_fovy)
     sim = SimpleNamespace(model=names, data=data)
@@ -184,6 +186,9 @@ def test_pose_file_round_trip(tmp_path):
         ('{"poses": {"agentview": []}}', "list 'poses'"),
         ('{"poses": [[1, 2], [3]]}', "4x4 matrices of numbers"),
         ('{"poses": [[[1, 2], [3, 4]]]}', "wrong shape"),
+        ('{"poses": [[[1e999]]], "config": 3}', "'config' must be an object, found int"),
+        ("[" * 100_000, "not JSON"),
+        ('{"poses": [[[1' + "0" * 400 + "]]]}", "4x4 matrices of numbers"),
         ('{"poses": [1, 2]}', r"\[count, 4, 4\]"),
         ('{"poses": [[[1,0,0,0],[0,1,0,0],[0,0,-1,0],[0,0,0,1]]]}', r"pose\[0\]: determinant"),
     ],
@@ -192,6 +197,19 @@ def test_damaged_pose_files_are_refused_by_name(tmp_path, text, message):
     path = tmp_path / "poses.json"
     path.write_text(text)
     with pytest.raises(CameraError, match=f"poses.json.*{message}"):
+        rays.read_pose_file(path)
+
+
+@pytest.mark.parametrize("kind", ["missing", "folder", "pipe", "device"])
+def test_what_may_never_end_is_no_pose_file(tmp_path, kind):
+    path = tmp_path / "poses.json"
+    if kind == "folder":
+        path.mkdir()
+    elif kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "device":
+        path = Path("/dev/zero")
+    with pytest.raises(CameraError, match=f"{path.name} (is no file|cannot be read)"):
         rays.read_pose_file(path)
 
 
@@ -246,8 +264,8 @@ def test_mjcf_focal_and_principal_are_mujocos_frustum():
         (0, 0, left, window.frustum_top),
         (64, 48, right, window.frustum_bottom),
     ):
-        seen = np.array([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]])
-        np.testing.assert_allclose(seen, [x / near, -y / near], atol=1e-6)
+        tangents = np.array([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]])
+        np.testing.assert_allclose(tangents, [x / near, -y / near], atol=1e-6)
     np.testing.assert_allclose(K[:2, 2], [28, 27], atol=1e-5)
 
 

@@ -73,11 +73,11 @@ def test_rays_pass_through_the_centre_and_through_what_the_pixel_sees(seed):
     camera = random_camera(seed)
     d, m = split(camera.plucker())
     depth = np.random.default_rng(seed).uniform(0.3, 3, (H, W))
-    seen = camera.unproject(depth)
-    for point in (camera.centre, seen):
+    surface = camera.unproject(depth)
+    for point in (camera.centre, surface):
         np.testing.assert_allclose(np.cross(point, d), m, atol=4e-6)
     # In front of the camera, not behind it.
-    assert (np.sum(d * (seen - camera.centre), axis=-1) > 0).all()
+    assert (np.sum(d * (surface - camera.centre), axis=-1) > 0).all()
 
 
 @some

@@ -9,8 +9,8 @@ from running import exit_code
 
 from jaxcam.config.fields import to_json
 from jaxcam.config.train import TrainConfig
-from jaxcam.errors import ConfigError
-from jaxcam.reports.arms import read_runs
+from jaxcam.errors import ConfigError, DatasetError
+from jaxcam.reports.arms import read_runs, write_results
 from jaxcam.reports.comparison import write_comparison
 from jaxcam.reports.run_page import write_report
 from jaxcam.runs.identity import resolve
@@ -69,6 +69,31 @@ def written(tmp_path):
     return shutil.copytree(PUBLISHED, tmp_path / "report")
 
 
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"success": None}, "a second outcome"),
+        ({"pair": 900, "weights_sha": "0" * 16}, "weights '0000000000000000', expected"),
+    ],
+)
+def test_rows_that_were_put_into_a_report_are_refused(written, changes, message):
+    file = written / "rows.jsonl"
+    lines = [
+        json.loads(line) | {"weights_sha": "1" * 16}
+        for line in file.read_text("utf-8").splitlines()
+    ]
+    more = lines[3] | changes
+    more["success"] = (not lines[3]["success"]) if more["success"] is None else more["success"]
+    file.write_text("".join(json.dumps(line) + "\n" for line in [*lines, more]), "utf-8")
+    with pytest.raises(DatasetError, match=rf"line {len(lines) + 1}: .*{message}"):
+        read_runs([written])
+    (written / "runs.json").unlink()
+    lines = [line | {"run": "a"} for line in [*lines, more]]
+    file.write_text("".join(json.dumps(line) + "\n" for line in lines), "utf-8")
+    with pytest.raises(DatasetError, match="not of the run of those before it"):
+        read_runs([written])
+
+
 def content(folder):
     return {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file()}
 
@@ -110,6 +135,17 @@ def test_a_folder_with_links_to_itself_is_read_once(tmp_path):
     assert len(read_runs([tmp_path / "all"])) == 2
 
 
+@pytest.mark.parametrize("text", ["", "{", "[]", "7", "null", "{}", "[" * 10**5, "\\xff"])
+def test_a_record_of_weights_that_is_damaged_is_told(tmp_path, text):
+    config = resolve(TrainConfig(weights="resnet18.pth"), accelerator=False)
+    (tmp_path / "config.json").write_text(to_json(config))
+    (tmp_path / "weights.json").write_text(text)
+    with pytest.raises(DatasetError, match=r"weights.json is damaged"):
+        read_runs([tmp_path])
+    (tmp_path / "weights.json").write_text('{"kind": null, "sha256": "123456789"}')
+    assert read_runs([tmp_path])[0].settings["weights"] == "resnet18 12345678"
+
+
 def test_a_page_shows_no_files_from_elsewhere(tmp_path):
     secret = tmp_path / "secret"
     secret.write_bytes(b"my secret")
@@ -123,3 +159,39 @@ def test_a_page_shows_no_files_from_elsewhere(tmp_path):
     assert "my secret" not in page
     assert "bXkgc2VjcmV0" not in page  # in base64
     assert "a.mp4" not in page
+
+
+def test_a_report_that_was_cut_short_is_written_by_the_same_command(tmp_path, monkeypatch):
+    runs, out = read_runs([foreign(tmp_path / "rows")]), tmp_path / "out"
+
+    def killed(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("jaxcam.reports.comparison.to_markdown", killed)
+        with pytest.raises(KeyboardInterrupt):
+            write_comparison(runs, out)
+    assert (out / "figures").is_dir()
+    assert "has not finished" in (out / "report.html").read_text("utf-8")
+    assert exit_code("report", tmp_path / "rows", "--out", out) == 0
+    assert "has not finished" not in (out / "report.html").read_text("utf-8")
+
+
+def test_rows_and_runs_of_a_report_change_together(written, monkeypatch):
+    before = content(written)
+
+    def full(path):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("jaxcam.files.whole.os.fsync", full)
+    with pytest.raises(OSError, match="No space"):
+        write_results(written, read_runs([written]))
+    assert content(written).items() >= before.items()
+
+
+def test_a_report_among_runs_does_not_hide_them(tmp_path):
+    foreign(tmp_path / "all" / "one", task="push")
+    write_comparison(read_runs([tmp_path / "all"]), tmp_path / "all")
+    foreign(tmp_path / "all" / "two")
+    tasks = sorted(run.settings["task"] for run in read_runs([tmp_path / "all"]))
+    assert tasks == ["lift", "lift", "push", "push"]

@@ -14,7 +14,6 @@ from jaxcam.reports.names import (
     latex,
     markdown,
     markdown_cell,
-    plain_line,
 )
 
 ODD = ["/../../../x", "..", ".hidden", "", "a/b", "a\\b", "\x00", "x" * 300, "é", "-rf", "a b"]
@@ -60,13 +59,9 @@ def test_markdown_has_no_tags_links_or_code_of_others():
     assert markdown("[66.3, 89.2] on 50 pairs") == "[66.3, 89.2] on 50 pairs"
 
 
-def test_a_terminal_is_not_steered():
-    assert plain_line("a\x1b[31mred\r\n") == r"a\x1b[31mred\r\n"
-    assert plain_line("é · –") == "é · –"
-
-
 def test_a_link_is_a_path():
     assert address("javascript:alert(1)") == "./javascript%3Aalert%281%29"
+    assert address("runs/\udcff.mp4") == "runs/%FF.mp4"
     assert address("../runs/a b#c?/x.mp4") == "../runs/a%20b%23c%3F/x.mp4"
 
 

@@ -6,6 +6,7 @@ import scipy.stats
 from outcomes import column, rows_of
 
 from jaxcam.results.differences import paired_difference, studentised
+from jaxcam.results.rows import Row
 
 
 def test_paired_difference_by_hand():
@@ -89,6 +90,13 @@ def several(rng, pairs, rollouts=30, gain=0.3, hard=(0.8, 1.2)):
     return a.mean(1) - b.mean(1)
 
 
+def near_the_ceiling(rng, pairs):
+    """Thirty rollouts on pairs of which a few are hard for each arm alone."""
+    rates = (rng.beta(rate, 1 - rate, pairs) for rate in (0.99, 0.95))
+    a, b = (rng.binomial(30, rate) / 30 for rate in rates)
+    return a - b
+
+
 WORLDS = {
     "one rollout": (single, {}, 0.2),
     "no difference": (single, {"a": 0.5, "b": 0.5}, 0.0),
@@ -103,10 +111,11 @@ WORLDS = {
         0.3,
     ),
     "thirty on easy and hard pairs": (several, {"gain": 0.5, "hard": (0.1, 0.3)}, 0.5 * 0.75),
+    "thirty, nearly all succeed": (near_the_ceiling, {}, 0.04),
 }
 
 
-@pytest.mark.parametrize("pairs", [5, 10, 15, 20, 50])
+@pytest.mark.parametrize("pairs", [5, 10, 15, 20, 30, 50])
 @pytest.mark.parametrize("world", WORLDS)
 def test_an_interval_covers_the_truth_from_five_pairs_on(world, pairs):
     draw, how, truth = WORLDS[world]
@@ -149,3 +158,12 @@ def test_seeds_stand_beside_the_pairs():
     assert "seeds +0.0 to +100.0, over pairs and seeds [" in str(difference)
     assert paired_difference(a, column([0] * 40)).over_seeds is None  # one seed of B
     assert paired_difference(a, column([0] * 40)).seeds == ()
+
+
+def test_pairs_of_either_arm_alone_are_counted():
+    def rows(pairs):
+        return [Row(pair=pair, seed=0, status="ok", success=True) for pair in pairs]
+
+    for few, many in (([0, 1], [1, 2, 3]), ([1, 2, 3], [0, 1])):
+        delta = paired_difference(rows(few), rows(many))
+        assert (delta.pairs, delta.unpaired) == (1, 3)

@@ -172,6 +172,24 @@ def test_a_rerun_replaces_the_failed_attempt():
     assert latest_rows([failed, again, later]) == [again, later]
 
 
+@pytest.mark.parametrize("way", [{"width": 20}, {"engine": "mjx-warp"}, {"ensemble": 0.01}])
+def test_of_an_evaluation_that_was_run_in_two_ways_the_last_counts_alone(way):
+    first, second = (Row(pair=p, status="ok", success=True, width=50) for p in (0, 1))
+    other = replace(second, **way)
+    assert latest_rows([first, second, other]) == [other]
+    assert latest_rows([other, first, second]) == [first, second]
+
+
+def test_of_several_ways_the_last_one_counts_with_all_its_rows():
+    """A pair that is run anew in a way counts with those that were run in it before."""
+    plain = [Row(pair=pair, status="ok", success=True, engine="native") for pair in range(3)]
+    failed = Row(pair=3, status="simulator", engine="native")
+    warped = [Row(pair=pair, status="ok", success=False, engine="mjx-warp") for pair in range(4)]
+    again = replace(failed, status="ok", success=False)
+    assert latest_rows([*plain, failed, *warped]) == warped
+    assert latest_rows([*plain, failed, *warped, again]) == [*plain, again]
+
+
 def clustered_outcomes(rng, pairs, seeds):
     """Difficulty differs strongly from pair to pair: mean 0.4, large correlation inside a pair."""
     difficulty = rng.beta(0.4, 0.6, pairs)

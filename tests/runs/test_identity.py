@@ -96,19 +96,19 @@ def test_short_runs_get_a_short_warmup():
 
 def test_differences_say_what_makes_another_run():
     other = dataclasses.replace(LAPTOP, lr=0.5, pairs=7)
-    found = differences(LAPTOP, other)
-    assert [(d.field, d.new, d.changes_program) for d in found] == [
+    changes = differences(LAPTOP, other)
+    assert [(d.field, d.new, d.changes_program) for d in changes] == [
         ("lr", 0.5, True), ("pairs", 7, False)
     ]  # fmt: skip
-    assert str(found[1]) == "pairs: 50 -> 7"
+    assert str(changes[1]) == "pairs: 50 -> 7"
     assert differences(LAPTOP, LAPTOP) == []
     assert {f.name for f in dataclasses.fields(TrainConfig)} > FREE_TO_CHANGE
 
 
 def test_a_run_may_be_prolonged_only_if_its_rate_is_constant():
     def longer(config):
-        (found,) = differences(config, dataclasses.replace(config, steps=2 * config.steps))
-        return found.changes_program
+        (change,) = differences(config, dataclasses.replace(config, steps=2 * config.steps))
+        return change.changes_program
 
     assert longer(LAPTOP)
     assert not longer(PAPER)

@@ -13,8 +13,8 @@ import pytest
 from rich.console import Console
 from small_grid import SMALL, needs_submitit
 
-from jaxcam.errors import ConfigError
-from jaxcam.files.jsonl import read_jsonl
+from jaxcam.errors import ConfigError, DatasetError
+from jaxcam.files.jsonl import append_jsonl, read_jsonl
 from jaxcam.files.locks import NamedLock
 from jaxcam.runs import sweep
 from jaxcam.runs.grid import progress_of, read_grid
@@ -44,6 +44,29 @@ def test_what_is_done_is_skipped(write):
     assert progress_of(plan.runs[0]).rollouts == 3
     entries, _ = run(plan)
     assert [starts(e) for e in entries.values()] == [2, 1, 1, 1]
+
+
+def test_rows_of_two_widths_do_not_make_up_for_each_other(write):
+    plan = read_grid(write())
+    whole, *_ = plan.runs
+    file = whole.folder / "eval" / "rows.jsonl"
+    file.parent.mkdir(parents=True)
+    said = {"step": 40, "split": "test", "status": "ok", "success": True}
+    append_jsonl(file, *({**said, "pair": p, "width": 9} for p in range(3)))
+    append_jsonl(file, *({**said, "pair": p, "width": 2} for p in range(2, 4)))
+    standing = progress_of(whole)
+    assert (standing.rollouts, standing.done) == (3, False)
+    append_jsonl(file, {**said, "pair": 0, "width": 2}, {**said, "pair": 1, "width": 2})
+    assert progress_of(whole).done
+
+
+def test_rows_of_another_run_are_no_progress(write):
+    plan = read_grid(write())
+    run(plan)
+    rows = plan.runs[0].folder / "eval" / "rows.jsonl"
+    append_jsonl(rows, {"step": 40, "split": "test", "pair": 0, "status": "ok", "success": False})
+    with pytest.raises(DatasetError, match="not of this run"):
+        progress_of(plan.runs[0])
 
 
 def test_the_papers_protocol_evaluates_the_last_ten_checkpoints(write):

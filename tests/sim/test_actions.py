@@ -49,13 +49,13 @@ def trajectory(space, rng):
     return path[1:], gripper, path[0]
 
 
-def assert_same_targets(space, found, expected):
+def assert_same_targets(space, computed, expected):
     if is_joint(space):
-        np.testing.assert_allclose(found, expected, atol=1e-12)
+        np.testing.assert_allclose(computed, expected, atol=1e-12)
         return
-    np.testing.assert_allclose(found[..., :3], expected[..., :3], atol=1e-12)
+    np.testing.assert_allclose(computed[..., :3], expected[..., :3], atol=1e-12)
     # As matrices: at half a turn two rotation vectors name one rotation.
-    rotations = (matrix_from_rotvec(x[..., 3:]) for x in (found, expected))
+    rotations = (matrix_from_rotvec(x[..., 3:]) for x in (computed, expected))
     np.testing.assert_allclose(*rotations, atol=1e-7)
 
 
@@ -110,10 +110,10 @@ def test_absolute_rotations_move_as_steadily_as_the_grip(start, speed, tilt, sha
     poses = Rotation.from_rotvec(targets[:, 3:])
     turned = (poses[1:] * poses[:-1].inv()).magnitude()
     assert longest(np.diff(actions[:, 3:6], axis=0)) < 5 * turned.max() + 1e-6
-    found, _ = decode("eef_abs", actions.astype(np.float32)[None], targets[:1], NOMINAL)
-    apart = Rotation.from_rotvec(found[0, :, 3:]) * poses.inv()
+    decoded, _ = decode("eef_abs", actions.astype(np.float32)[None], targets[:1], NOMINAL)
+    apart = Rotation.from_rotvec(decoded[0, :, 3:]) * poses.inv()
     assert apart.magnitude().max() < 2e-6
-    np.testing.assert_array_equal(found[0, :, :3], 0)
+    np.testing.assert_array_equal(decoded[0, :, :3], 0)
 
 
 def test_a_grip_that_points_down_has_small_numbers():
@@ -183,13 +183,13 @@ def test_under_jit_as_in_numpy(space):
     targets, gripper, start = trajectory(space, np.random.default_rng(3))
     actions = encode(space, targets, gripper, start, NOMINAL)[None]
     anchor = jnp.asarray(start[None])
-    found, signs = jax.jit(decode, static_argnums=0)(space, actions, anchor, NOMINAL)
+    decoded, signs = jax.jit(decode, static_argnums=0)(space, actions, anchor, NOMINAL)
     expected, _ = decode(space, actions, start[None], NOMINAL)
-    rotations = [matrix_from_rotvec(np.asarray(x[..., 3:6], float)) for x in (found, expected)]
+    rotations = [matrix_from_rotvec(np.asarray(x[..., 3:6], float)) for x in (decoded, expected)]
     if not is_joint(space):
         np.testing.assert_allclose(*rotations, atol=1e-5)
-        found, expected = found[..., :3], expected[..., :3]
-    np.testing.assert_allclose(found, expected, atol=1e-5)
+        decoded, expected = decoded[..., :3], expected[..., :3]
+    np.testing.assert_allclose(decoded, expected, atol=1e-5)
     np.testing.assert_array_equal(signs[0], gripper)
 
 
@@ -203,10 +203,10 @@ def test_encode_leaves_its_input_alone():
 
 @pytest.mark.parametrize("space", ACTION_SPACES)
 def test_collected_demonstrations_replay_in_every_space(space, lift, scene, renderer, demos):
-    every = demos.episodes
+    episodes = demos.episodes
     chunk = 16
     moves = []
-    for demo in every:
+    for demo in episodes:
         actions = demo_actions(demo, space, scene)
         rest = (
             np.zeros_like(actions) if space.endswith("delta") else np.tile(actions[-1:], (200, 1))
@@ -216,13 +216,13 @@ def test_collected_demonstrations_replay_in_every_space(space, lift, scene, rend
         moves.append(np.concatenate([actions, rest])[: lift.horizon + chunk])
     moves = np.stack(moves)
     engine = NativeEngine(scene, controller_of(space), varied=lift.varied)
-    start = starts(lift, scene, [d.seed for d in every])
-    np.testing.assert_array_equal(start.qpos, [d.qpos[0] for d in every])
-    count = len(every)
+    start = starts(lift, scene, [d.seed for d in episodes])
+    np.testing.assert_array_equal(start.qpos, [d.qpos[0] for d in episodes])
+    count = len(episodes)
     episodes = Episodes(
         start,
         np.tile(intrinsics(45, renderer.height), (count, 1, 1, 1)),
-        demos.header.world_from_camera[[d.cameras[:1] for d in every]],
+        demos.header.world_from_camera[[d.cameras[:1] for d in episodes]],
     )
     agent = Agent(lambda obs, call: moves[:, call * chunk : (call + 1) * chunk], space)
     done = rollout(agent, lift, engine, renderer, episodes)

@@ -106,14 +106,14 @@ def test_nan_after_success_does_not_undo_it(run, replay, demos):
 
 @pytest.mark.parametrize(("execute", "calls"), [(None, 1), (3, 3)])
 def test_horizon_cuts_and_chunks_are_executed_open_loop(run, execute, calls):
-    seen = []
+    called = []
 
     def act(obs, call):
-        seen.append(call)
+        called.append(call)
         return np.tile(np.array([0.01, 0, 0, 0, 0, 0, -1.0]), (2, CHUNK, 1))
 
     ticks = run(act, [0, 1], ShortLift(), execute=execute)
-    assert seen == list(range(calls))
+    assert called == list(range(calls))
     assert ticks.steps.tolist() == [7, 7]
     assert len(ticks.qpos) == 8
     assert not ticks.success.any()
@@ -121,14 +121,14 @@ def test_horizon_cuts_and_chunks_are_executed_open_loop(run, execute, calls):
 
 def test_what_the_policy_sees(run, lift, scene, renderer):
     seeds, views = [3, 1], 2
-    seen = []
+    observed = []
 
     def act(obs, call):
-        seen.append(obs)
+        observed.append(obs)
         return np.zeros((2, 4, 7))
 
     run(act, seeds, ShortLift(), views=views)
-    obs, start = seen[0], starts(lift, scene, seeds)
+    obs, start = observed[0], starts(lift, scene, seeds)
     poses = sample_poses(lift.cameras, 8, 0).reshape(-1, views, 4, 4)[seeds]
     np.testing.assert_allclose(scene.world_from_base @ obs["base_from_camera"], poses, atol=1e-6)
     np.testing.assert_allclose(obs["proprio"][:, :7], start.qpos[:, scene.arm], atol=1e-6)
@@ -140,24 +140,24 @@ def test_what_the_policy_sees(run, lift, scene, renderer):
                 *(x[[i]] for x in start), obs["K"][i, v][None].astype(float), poses[i, v][None]
             )
             np.testing.assert_array_equal(obs["image"][i, v], renderer.rgb(fresh)[0])
-    assert (seen[1]["image"] != obs["image"]).any()
+    assert (observed[1]["image"] != obs["image"]).any()
 
 
 @pytest.mark.parametrize(("obs_steps", "execute"), [(2, 3), (3, 2), (3, 1)])
 def test_several_observations_are_of_the_steps_before(run, scene, renderer, obs_steps, execute):
-    seen = []
+    observed = []
 
     def act(obs, call):
-        seen.append(obs)
+        observed.append(obs)
         return np.tile(np.array([0.02, 0, 0, 0, 0, 0, -1.0]), (2, CHUNK, 1))
 
     done = run(act, [0, 1], ShortLift(), execute=execute, obs_steps=obs_steps)
     assert len(done.qpos) == 8
-    assert seen[0]["image"].shape == (2, obs_steps, 1, renderer.height, renderer.width, 3)
-    for call, obs in enumerate(seen):
+    assert observed[0]["image"].shape == (2, obs_steps, 1, renderer.height, renderer.width, 3)
+    for call, obs in enumerate(observed):
         for s in range(obs_steps):
             t = max(0, call * execute + s - (obs_steps - 1))
             np.testing.assert_allclose(
                 obs["proprio"][:, s, :7], done.qpos[t][:, scene.arm], atol=1e-6
             )
-    assert (seen[-1]["image"][:, 0] != seen[-1]["image"][:, -1]).any()
+    assert (observed[-1]["image"][:, 0] != observed[-1]["image"][:, -1]).any()

@@ -57,3 +57,8 @@ def test_unknown_engines_name_the_closest(scene):
 def test_unknown_scenes_name_the_closest(task):
     with pytest.raises(ConfigError, match="Unknown scene 'randomised', did you mean 'randomized'"):
         make_task(task).scene("randomised")
+
+
+def test_unknown_task_names_the_closest():
+    with pytest.raises(ConfigError, match="Unknown task 'lfit', did you mean 'lift'"):
+        make_task("lfit")

@@ -36,8 +36,16 @@ import jaxcam.training.checkpoint
 import jaxcam.training.side
 from jaxcam.config.fields import to_json
 from jaxcam.errors import CheckpointError, ConfigError
+from jaxcam.models import PolicySpec
+from jaxcam.models.policy import blank_stats
 from jaxcam.runs.identity import read_config
-from jaxcam.training.checkpoint import Checkpoints, checkpoint_steps, load_policy_inputs
+from jaxcam.training.checkpoint import (
+    Checkpoints,
+    PolicyInputs,
+    checkpoint_steps,
+    load_policy_inputs,
+    rebuild_policy,
+)
 from jaxcam.training.side import make_side
 from jaxcam.training.state import init_state
 
@@ -117,14 +125,14 @@ def test_keeps_the_newest_and_saves_a_step_once(tmp_path):
 def test_checkpoints_between_the_regular_ones_are_kept_until_the_next(tmp_path):
     config = dataclasses.replace(CONFIG, save_every=2)
     side = make_side(config, settings=Settings(), spec=Settings(), stats=STATS, data="abc")
-    found = []
+    kept = []
     with Checkpoints(tmp_path / "checkpoints", keep=2) as checkpoints:
         state = fresh()
         for step in (2, 3, 4, 5, 6, 7):
             state = train(state, step)
             checkpoints.save(state, side)
-            found.append(checkpoints.steps())
-    assert found == [[2], [2, 3], [2, 4], [2, 4, 5], [4, 6], [4, 6, 7]]
+            kept.append(checkpoints.steps())
+    assert kept == [[2], [2, 3], [2, 4], [2, 4, 5], [4, 6], [4, 6, 7]]
     assert checkpoint_steps(tmp_path) == [4, 6, 7]
 
 
@@ -207,6 +215,25 @@ def test_other_data_settings_or_convention_are_refused(run, monkeypatch):
     monkeypatch.setattr(jaxcam.training.side, "CONVENTION", 2)
     with pytest.raises(CheckpointError, match="conventions 1, this version of jaxcam has 2"):
         load_policy_inputs(run)
+
+
+@pytest.mark.parametrize("part", ["settings", "spec"])
+@pytest.mark.parametrize("edit", [{"zzz": 1}, {"chunk": "x"}, {"chunk": 0}, {"width": None}])
+def test_settings_and_sizes_that_are_no_policys_are_refused(part, edit):
+    spec = {"action_dim": 7, "proprio_dim": 9, "views": 1, "height": 16, "width": 16, "chunk": 4}
+    given = {"settings": {}, "spec": spec, part: {**(spec if part == "spec" else {}), **edit}}
+    inputs = PolicyInputs(CONFIG, given["settings"], given["spec"], {}, {}, 3)
+    with pytest.raises(CheckpointError, match="Checkpoint 3 is of another version"):
+        rebuild_policy(inputs)
+
+
+def test_parameters_that_are_no_policys_are_refused():
+    """Also under a right seal: an export of none would be a checkpoint without arrays."""
+    settings = {"chunk": 4, "execute": 2, "layers": 1, "width": 16, "heads": 2, "hidden": 8}
+    spec = {"action_dim": 7, "proprio_dim": 9, "views": 1, "height": 32, "width": 32, "chunk": 4}
+    stats = blank_stats(PolicySpec(**spec))
+    with pytest.raises(CheckpointError, match=r"another policy: .* is missing, expected float32"):
+        rebuild_policy(PolicyInputs(CONFIG, settings, spec, stats, {}, 3))
 
 
 def test_other_packages_are_reported(run, monkeypatch, caplog):

@@ -104,8 +104,8 @@ def test_a_hub_that_fails_is_told_once_and_the_run_goes_on(wandb, tmp_path, capl
     wandb.fails_at = 3
     with caplog.at_level(logging.WARNING):
         fit(settings(tmp_path, log=("wandb",)))
-    told = [r.message for r in caplog.records if "wandb" in r.message]
-    assert told == ["wandb failed, the run goes on without it: the hub is unreachable"]
+    messages = [r.message for r in caplog.records if "wandb" in r.message]
+    assert messages == ["wandb failed, the run goes on without it: the hub is unreachable"]
     assert [r["step"] for r in wandb.runs[0].rows] == [1, 2]
     assert len(read_jsonl(tmp_path / "metrics.jsonl")) == 6
     assert checkpoint_steps(tmp_path) == [*range(1, 7)]

@@ -8,8 +8,6 @@ loader reads the folder (`tests/golden/check_lerobot.py`). Beside what every LeR
 those for robot states and normalise every number of a pose by itself.
 """
 
-import os
-import shutil
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -25,7 +23,8 @@ from jaxcam.data.pictures import load_pictures
 from jaxcam.errors import DatasetError
 from jaxcam.files.locks import exclusive
 from jaxcam.files.paths import home
-from jaxcam.interop.lerobot.format import VERSION, Writer, feature, video_feature, write_json
+from jaxcam.files.whole import whole
+from jaxcam.interop.lerobot.format import VERSION, Writer, feature, video_feature, write_meta
 from jaxcam.sim.actions import is_absolute, is_joint
 from jaxcam.sim.controllers import CONTROL_HZ
 from jaxcam.sim.world import World
@@ -55,19 +54,17 @@ def export_dataset(config: LerobotConfig, console: Console | None = None) -> Pat
     if not chosen:
         raise DatasetError(f"{demos.path}: no validation demonstrations to export.")
     _refuse_existing(out)
-    scene = demos.world
-    pictures = load_pictures(demos, config.resolution, console)
-    data = make_dataset(demos, pictures, config.action_space, scene)
-    part = out.with_name(out.name + ".part")
-    with exclusive(out, console):
+    with exclusive(out, console):  # before anything is drawn: it needs a place to go to
         _refuse_existing(out)
-        shutil.rmtree(part, ignore_errors=True)  # of an export that was interrupted
+        scene = demos.world
+        pictures = load_pictures(demos, config.resolution, console)
+        data = make_dataset(demos, pictures, config.action_space, scene)
         try:
-            _write(part, config, demos, data, chosen, scene, console)
-            os.replace(part, out)
+            with whole(out, folder=True) as part:
+                _write(part, config, demos, data, chosen, scene, console)
         except OSError as error:
             raise DatasetError(
-                f"{part}: {error.strerror or error}. Make room and repeat."
+                f"{out}: cannot be written: {error.strerror or error}. Make room and repeat."
             ) from error
     return out
 
@@ -98,7 +95,7 @@ def _write(
             writer.add(_rows(data, demo, views), _pictures(data, demo))
             advance(int(data.lengths[demo]))
         writer.finish("panda")
-    write_json(root / "meta/jaxcam.json", _about(config, demos, data, scene))
+    write_meta(root / "meta/jaxcam.json", _about(config, demos, data, scene))
 
 
 def _about(config: LerobotConfig, demos: Demos, data: Dataset, scene: World) -> dict[str, Any]:
@@ -179,4 +176,4 @@ def main(config: LerobotConfig, console: Console) -> None:
     out = export_dataset(config, console)
     console.print(f"{out}: a LeRobot {VERSION} dataset. Read it with:")
     read = f"LeRobotDataset({out.name!r}, root={str(out)!r})"
-    console.print(f"  {read}", soft_wrap=True, markup=False, highlight=False)
+    console.print(f"  {read}", soft_wrap=True, highlight=False)

@@ -32,7 +32,7 @@ CRF, KEY_EVERY = 18, 2
 from at most two, as loaders that draw at random need."""
 QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 
-Stats = dict[str, np.ndarray]
+Statistics = dict[str, np.ndarray]
 
 
 def feature(dtype: str, shape: tuple[int, ...], names: list[str] | None = None) -> dict[str, Any]:
@@ -55,7 +55,7 @@ def video_feature(side: int, fps: int) -> dict[str, Any]:
     return {**feature("video", (side, side, 3), ["height", "width", "channels"]), "info": info}
 
 
-def write_json(path: Path, content: Any) -> None:
+def write_meta(path: Path, content: Any) -> None:
     """Writes readable JSON; folders are made."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(content, indent=4) + "\n")
@@ -123,7 +123,7 @@ class Writer:
         about |= self._add_rows(rows)
         for key, pictures in videos.items():
             about |= self._add_pictures(key, pictures)
-        stats = {key: stats_of(values) for key, values in rows.items()}
+        stats = {key: statistics_of(values) for key, values in rows.items()}
         for key, pictures in videos.items():
             shades = _shades(pictures)
             stats[key] = _stats_of_shades(shades, length)
@@ -141,10 +141,12 @@ class Writer:
         path.parent.mkdir(parents=True)
         parquet.write_table(pa.Table.from_pylist(self._episodes), path)
         _write_tasks(self._root / "meta/tasks.parquet", self._task)
-        stats = {k: stats_of(np.concatenate([r[k] for r in self._rows])) for k in self._rows[0]}
+        stats = {
+            k: statistics_of(np.concatenate([r[k] for r in self._rows])) for k in self._rows[0]
+        }
         stats |= {k: _stats_of_shades(s, self._length) for k, s in self._shades.items()}
         listed = {k: {n: v.tolist() for n, v in by_name.items()} for k, by_name in stats.items()}
-        write_json(self._root / "meta/stats.json", listed)
+        write_meta(self._root / "meta/stats.json", listed)
         info = {
             "codebase_version": VERSION,
             "robot_type": robot_type,
@@ -160,7 +162,7 @@ class Writer:
             "video_path": VIDEO,
             "features": self._features,
         }
-        write_json(self._root / "meta/info.json", info)
+        write_meta(self._root / "meta/info.json", info)
 
     def _add_rows(self, rows: dict[str, np.ndarray]) -> dict[str, int]:
         table = pa.table({key: column_of(values) for key, values in rows.items()})
@@ -235,13 +237,13 @@ def column_of(values: np.ndarray) -> pa.Array:
     return flat
 
 
-def stats_of(values: np.ndarray) -> Stats:
+def statistics_of(values: np.ndarray) -> Statistics:
     """LeRobot's statistics over the first axis; a scalar column gives arrays of one number."""
     values = values[:, None] if values.ndim == 1 else values
     values = values.astype(float)
-    found = {"min": values.min(0), "max": values.max(0), "mean": values.mean(0)}
-    found |= {"std": values.std(0), "count": np.array([len(values)])}
-    return found | {name: np.quantile(values, q, 0) for name, q in QUANTILES.items()}
+    statistics = {"min": values.min(0), "max": values.max(0), "mean": values.mean(0)}
+    statistics |= {"std": values.std(0), "count": np.array([len(values)])}
+    return statistics | {name: np.quantile(values, q, 0) for name, q in QUANTILES.items()}
 
 
 def _shades(pictures: np.ndarray) -> np.ndarray:
@@ -249,20 +251,20 @@ def _shades(pictures: np.ndarray) -> np.ndarray:
     return np.stack([np.bincount(pictures[..., c].reshape(-1), minlength=256) for c in range(3)])
 
 
-def _stats_of_shades(shades: np.ndarray, count: int) -> Stats:
+def _stats_of_shades(shades: np.ndarray, count: int) -> Statistics:
     """LeRobot's statistics of pictures, in [0, 1] and of shape [3, 1, 1]."""
     levels, total = np.arange(256) / 255, shades.sum(1)
     mean = shades @ levels / total
     there = shades > 0
-    found = {
+    statistics = {
         "min": levels[there.argmax(1)],
         "max": levels[255 - there[:, ::-1].argmax(1)],
         "mean": mean,
         "std": np.sqrt(np.maximum(shades @ levels**2 / total - mean**2, 0)),
     }
     below = np.cumsum(shades, 1) / total[:, None]
-    found |= {name: levels[(below >= q).argmax(1)] for name, q in QUANTILES.items()}
-    return {k: v.reshape(3, 1, 1) for k, v in found.items()} | {"count": np.array([count])}
+    statistics |= {name: levels[(below >= q).argmax(1)] for name, q in QUANTILES.items()}
+    return {k: v.reshape(3, 1, 1) for k, v in statistics.items()} | {"count": np.array([count])}
 
 
 def _write_tasks(path: Path, task: str) -> None:

@@ -6,16 +6,26 @@ are called as `jaxcam.lerobot` calls them.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from pathlib import Path
+from typing import Any, get_type_hints
 
+from jaxcam.config.fields import check_value, short
 from jaxcam.errors import CheckpointError
-from jaxcam.interop.lerobot.pipelines import ACTION, IMAGE, STATE
+from jaxcam.interop.lerobot.pipelines import ACTION, IMAGE, STATE, Feature, features_of
 from jaxcam.models import FAMILIES, PolicySpec
 from jaxcam.models.normalization import LEROBOT_STD_FLOOR
 from jaxcam.models.weights.names_robot import Arrays, restore_act, restore_diffusion
 
 LAST_GROUPS = 8
 """Groups of the last norm of LeRobot's U-Net, whatever `n_groups` says."""
+MOST_PIXELS = 2**13
+"""Rows or columns of a picture."""
+_ALONE: dict[str, Any] = {
+    "temporal_ensemble_coeff": float | None, "crop_shape": list[int] | None,
+    "crop_is_random": bool, "use_group_norm": bool, "noise_scheduler_type": str,
+    "do_mask_loss_for_padding": bool, "down_dims": list[int], "num_inference_steps": int | None,
+}  # fmt: skip
+"""Kinds of their settings whose values are none of ours."""
 _FREE = {
     "device": "cpu", "push_to_hub": False, "repo_id": None, "private": None, "tags": None,
     "license": None, "pretrained_path": None, "pretrained_backbone_weights": None,
@@ -148,8 +158,8 @@ def config_of(settings: Any, spec: PolicySpec, ensemble: float = 0.0) -> dict[st
             f"{'; '.join(wrong)}. What it has is --preset lerobot with --conditioning none."
         )
     same = {theirs: getattr(settings, ours) for theirs, ours in counterpart.same.items()}
-    left = spec.chunk - spec.obs_steps + 1
-    same["n_action_steps"] = min(settings.execute or left, left)
+    ahead = spec.chunk - spec.obs_steps + 1
+    same["n_action_steps"] = min(settings.execute or ahead, ahead)
     if name == "act":
         same |= {"temporal_ensemble_coeff": ensemble or None}
         same["n_action_steps"] = 1 if ensemble else same["n_action_steps"]
@@ -203,9 +213,9 @@ def check_type(config: Mapping[str, Any]) -> Counterpart:
         CheckpointError: There is none.
     """
     name = config.get("type", "")
-    if name not in COUNTERPARTS:
+    if not isinstance(name, str) or name not in COUNTERPARTS:
         known = " and ".join(COUNTERPARTS)
-        raise CheckpointError(f"It is of policy '{name}'; {known} can be read.")
+        raise CheckpointError(f"It is of policy {short(name)}; {known} can be read.")
     return COUNTERPARTS[name]
 
 
@@ -218,10 +228,14 @@ def settings_of(config: Mapping[str, Any], image_scaling: str) -> tuple[Any, Pol
 
     Raises:
         CheckpointError: Our network has no place for it, with everything that has none.
+        ConfigError: A value is of another kind than LeRobot writes, or our policy cannot have it.
     """
     counterpart, name = check_type(config), config["type"]
+    _check_kinds(config, counterpart)
     wrong = _unequal_values(config, counterpart)
-    inputs, outputs = config.get("input_features") or {}, config.get("output_features") or {}
+    where = Path("config.json")
+    inputs = features_of(where, config, "input_features")
+    outputs = features_of(where, config, "output_features")
     wrong += _unequal_features(inputs, outputs)
     if not wrong:
         wrong = _act_misfits(config) if name == "act" else _diffusion_misfits(config)
@@ -233,10 +247,10 @@ def settings_of(config: Mapping[str, Any], image_scaling: str) -> tuple[Any, Pol
     ours = {("twin_of" if k == "network" else k): v for k, v in counterpart.ours.items()}
     same |= {"image_scaling": image_scaling, "floors": False}
     settings = replace(FAMILIES[name].presets["lerobot"], **(ours | same))
-    shapes = [f["shape"] for f in inputs.values() if f["type"] == "VISUAL"]
+    shapes = [feature.shape for feature in inputs.values() if feature.type == "VISUAL"]
     spec = PolicySpec(
-        action_dim=outputs[ACTION]["shape"][0],
-        proprio_dim=inputs[STATE]["shape"][0],
+        action_dim=outputs[ACTION].shape[0],
+        proprio_dim=inputs[STATE].shape[0],
         views=len(shapes),
         height=shapes[0][1],
         width=shapes[0][2],
@@ -246,25 +260,34 @@ def settings_of(config: Mapping[str, Any], image_scaling: str) -> tuple[Any, Pol
     return settings, spec
 
 
+def _check_kinds(config: Mapping[str, Any], counterpart: Counterpart) -> None:
+    """Refuses values of another kind than ours have, or than they are listed with."""
+    hints = get_type_hints(FAMILIES[config["type"]].config)
+    kinds = {theirs: hints[ours] for theirs, ours in counterpart.same.items()} | _ALONE
+    for name in (*counterpart.same, *counterpart.alone):
+        if name in config:
+            check_value("config.json: ", name, config[name], kinds[name])
+
+
 def _unequal_values(config: Mapping[str, Any], counterpart: Counterpart) -> list[str]:
     """Their settings that have other values than ours can have, that lack, or that are unknown."""
     needed = (*counterpart.same, *counterpart.alone)
     known = _ELSEWHERE.union(needed, counterpart.theirs, counterpart.free)
     return [
         *(
-            f"{key} is {config[key]}, not {value}"
+            f"{key} is {short(config[key])}, not {value}"
             for key, value in counterpart.theirs.items()
             if config.get(key, value) != value
         ),
         *(f"{key} is missing, which LeRobot writes" for key in needed if key not in config),
-        *(f"{key} ({config[key]}) is unknown here" for key in config if key not in known),
+        *(f"{key} ({short(config[key])}) is unknown here" for key in config if key not in known),
     ]
 
 
-def _unequal_features(inputs: Mapping[str, Any], outputs: Mapping[str, Any]) -> list[str]:
+def _unequal_features(inputs: Mapping[str, Feature], outputs: Mapping[str, Feature]) -> list[str]:
     """Inputs and outputs that ours lacks, or has and they lack."""
-    images = [k for k, f in inputs.items() if f["type"] == "VISUAL"]
-    shapes = {k: tuple(inputs[k]["shape"]) for k in images}
+    images = [k for k, feature in inputs.items() if feature.type == "VISUAL"]
+    shapes = {k: tuple(inputs[k].shape) for k in images}
     wrong = [f"input {k} is one too many" for k in inputs if k not in (*images, STATE)]
     wrong += [f"output {k} is one too many" for k in outputs if k != ACTION]
     wrong += [f"input {STATE} is missing"] if STATE not in inputs else []
@@ -274,8 +297,11 @@ def _unequal_features(inputs: Mapping[str, Any], outputs: Mapping[str, Any]) -> 
         listed = ", ".join(f"{k} {'x'.join(map(str, shape))}" for k, shape in shapes.items())
         wrong.append(f"images are of several sizes: {listed}")
     for image, shape in shapes.items():
-        if len(shape) != 3 or shape[0] != 3:
+        if len(shape) != 3 or shape[0] != 3 or not all(0 < n <= MOST_PIXELS for n in shape):
             wrong.append(f"{image} has the shape {shape}, not (3, height, width)")
+    for name, feature in {**inputs, **outputs}.items():
+        if name in (STATE, ACTION) and not (len(feature.shape) == 1 and feature.shape[0] > 0):
+            wrong.append(f"{name} has the shape {feature.shape}, not a number of numbers")
     ours = [IMAGE.format(v) for v in range(len(images))]
     if images != ours and sorted(images) == sorted(ours):
         wrong.append(f"it takes its images in another order: {', '.join(images)}")
@@ -296,7 +322,7 @@ def _act_misfits(config: Mapping[str, Any]) -> list[str]:
 def _diffusion_misfits(config: Mapping[str, Any]) -> list[str]:
     """Values of Diffusion Policy's settings that only some of ours have."""
     wrong, crop = _unequal_steps(config), config["crop_shape"]
-    if crop and crop[0] != crop[1]:
+    if crop and (len(crop) != 2 or crop[0] != crop[1]):
         wrong.append(f"crop_shape is {crop}, which is not square")
     if not config["kernel_size"] % 2:
         wrong.append(f"kernel_size is {config['kernel_size']}, which is even")

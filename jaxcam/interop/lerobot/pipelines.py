@@ -13,10 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from jaxcam.config.fields import as_record, check_value, short
 from jaxcam.errors import CheckpointError
 from jaxcam.files.paths import read_text
 from jaxcam.models.fusion import IMAGENET_MEAN, IMAGENET_STD
 from jaxcam.models.normalization import LEROBOT_STD_FLOOR
+from jaxcam.models.weights.load import read_weights
 from jaxcam.models.weights.names_robot import Arrays
 
 STATE, ACTION, IMAGE = "observation.state", "action", "observation.images.view_{}"
@@ -44,6 +46,28 @@ _SCALING = {
     "dtype": (None, "float32"),
 }
 """Settings of the step that scales, in the same way."""
+
+
+@dataclass(frozen=True)
+class Feature:
+    """What LeRobot's files say of an input or an output.
+
+    Attributes:
+        type: "VISUAL", "STATE", "ACTION" or another.
+        shape: Of its array.
+    """
+
+    type: str
+    shape: list[int]
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A step of a pipeline, as far as its form goes."""
+
+    name: str
+    config: dict[str, Any]
+    state_file: str | None
 
 
 @dataclass(frozen=True)
@@ -91,31 +115,65 @@ def read_scaling(folder: Path, name: str) -> Scaling:
     """
     path = folder / f"{name}.json"
     wanted = "normalizer_processor" if name == BEFORE else "unnormalizer_processor"
-    scaling = []
-    for step in read_json(path).get("steps", []):
-        kind, settings = step.get("registry_name", step.get("class")), step.get("config") or {}
-        if kind == wanted:
+    scaling: list[_Step] = []
+    for step in _steps(path):
+        if step.name == wanted:
             scaling.append(step)
-        elif kind not in _HARMLESS:
-            raise CheckpointError(f"{path} has the step '{kind}', which has no place here.")
-        known = _SCALING if kind == wanted else _HARMLESS[kind]
-        for key, value in settings.items():
+        elif step.name not in _HARMLESS:
+            raise CheckpointError(f"{path} has the step '{step.name}', which has no place here.")
+        known = _SCALING if step.name == wanted else _HARMLESS[step.name]
+        for key, value in step.config.items():
             allowed = known.get(key, ())
             if allowed is not None and value not in allowed:
                 raise CheckpointError(
-                    f"{path}: {key} of '{kind}' is {value}, which has no place here."
+                    f"{path}: {key} of '{step.name}' is {short(value)}, which has no place here."
                 )
     if len(scaling) != 1:
         raise CheckpointError(f"{path} has {len(scaling)} steps '{wanted}', not one.")
-    settings, file = scaling[0].get("config") or {}, scaling[0].get("state_file")
-    if file and (Path(file).name != file or not (folder / file).is_file()):
-        raise CheckpointError(f"{folder} has no file of statistics '{file}'.")
-    arrays = safetensors_numpy().load_file(folder / file) if file else {}
-    kinds = {k: f["type"] for k, f in settings.get("features", {}).items()}
-    return Scaling(settings.get("norm_map", {}), kinds, arrays)
+    settings, file = scaling[0].config, scaling[0].state_file
+    if file and file not in {path.name for path in folder.iterdir() if path.is_file()}:
+        raise CheckpointError(f"{folder} has no file of statistics {short(file)}.")
+    kinds = {k: feature.type for k, feature in features_of(path, settings, "features").items()}
+    modes = settings.get("norm_map", {})
+    check_value(f"{path}: ", "norm_map", modes, dict[str, str])
+    return Scaling(modes, kinds, read_weights(folder / file).arrays if file else {})
 
 
-def stats_of(folder: Path, wanted: Mapping[str, str], sizes: Mapping[str, int]) -> Arrays:
+def _steps(path: Path) -> list[_Step]:
+    """The steps of a pipeline's file."""
+    steps = read_json(path).get("steps", [])
+    check_value(f"{path}: ", "steps", steps, list[dict[str, Any]])
+    return [
+        as_record(
+            _Step,
+            {
+                "name": step.get("registry_name", step.get("class")),
+                "config": step.get("config") or {},
+                "state_file": step.get("state_file"),
+            },
+            f"{path}, step {number}",
+        )
+        for number, step in enumerate(steps)
+    ]
+
+
+def features_of(path: Path, content: Mapping[str, Any], name: str) -> dict[str, Feature]:
+    """The features that an entry of a file lists; none if there is none.
+
+    Args:
+        path: Of the file, for messages.
+        content: What has the entry.
+        name: Of the entry.
+
+    Raises:
+        ConfigError: It is none of features.
+    """
+    listed = content.get(name) or {}
+    check_value(f"{path}: ", name, listed, dict[str, dict[str, Any]])
+    return {k: as_record(Feature, about, f"{path}, {k}") for k, about in listed.items()}
+
+
+def read_stats(folder: Path, wanted: Mapping[str, str], sizes: Mapping[str, int]) -> Arrays:
     """Our statistics, to be taken without floors, that scale as a checkpoint's pipelines do.
 
     Args:
@@ -255,7 +313,7 @@ def read_json(path: Path) -> dict[str, Any]:
         raise CheckpointError(f"{path.parent} is no LeRobot checkpoint: it has no {path.name}.")
     try:
         content = json.loads(read_text(path))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise CheckpointError(f"{path.parent} is no LeRobot checkpoint: {error}.") from error
     if not isinstance(content, dict):
         raise CheckpointError(f"{path.parent} is no LeRobot checkpoint: {path.name} is no object.")

@@ -5,8 +5,6 @@ goes into the network and what comes out of it (`jaxcam.interop.lerobot.pipeline
 `jaxcam.interop.lerobot.layout` knows.
 """
 
-import os
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +14,8 @@ import jax
 import numpy as np
 
 from jaxcam.config.train import TrainConfig
-from jaxcam.errors import CheckpointError
+from jaxcam.errors import CheckpointError, ConfigError
+from jaxcam.files.whole import whole
 from jaxcam.interop.lerobot.layout import (
     COUNTERPARTS,
     Counterpart,
@@ -31,14 +30,15 @@ from jaxcam.interop.lerobot.pipelines import (
     SCALINGS,
     STATE,
     STATISTICS,
+    features_of,
     image_scaling_of,
     read_json,
+    read_stats,
     safetensors_numpy,
-    stats_of,
     write_json,
     write_pipelines,
 )
-from jaxcam.models import FAMILIES, Params, PolicySpec, make_policy
+from jaxcam.models import Params, PolicySpec, make_policy
 from jaxcam.models.act.transformer import sine_table
 from jaxcam.models.normalization import (
     action_deviation,
@@ -46,6 +46,7 @@ from jaxcam.models.normalization import (
     proprio_deviation,
     proprio_range,
 )
+from jaxcam.models.policy import statistic
 from jaxcam.models.weights.load import Weights, load, read_weights, record_weights, to_torch
 from jaxcam.models.weights.names import MAPS
 from jaxcam.models.weights.names_robot import Arrays
@@ -53,7 +54,7 @@ from jaxcam.runs.folder import RunDir
 from jaxcam.runs.identity import resolve
 from jaxcam.sim.actions import action_dim, is_delta
 from jaxcam.sim.world import PROPRIO_DIM
-from jaxcam.training.checkpoint import Checkpoints, PolicyInputs
+from jaxcam.training.checkpoint import Checkpoints, PolicyInputs, rebuild_policy, records_of
 from jaxcam.training.side import make_side
 from jaxcam.training.state import init_state, make_optimizer
 
@@ -87,27 +88,27 @@ def export_policy(inputs: PolicyInputs, out: Path) -> list[str]:
     Raises:
         CheckpointError: LeRobot's network has no place for this policy, or `out` exists.
     """
-    name, spec = inputs.config.policy, PolicySpec(**inputs.spec)
+    name = inputs.config.policy
     if name not in COUNTERPARTS:
         raise CheckpointError(f"Only {' and '.join(COUNTERPARTS)} can be exported, not {name}.")
-    settings, counterpart = FAMILIES[name].config(**inputs.settings), COUNTERPARTS[name]
+    (settings, spec), counterpart = records_of(inputs), COUNTERPARTS[name]
     if out.exists():
         raise CheckpointError(f"{out} exists. Choose another folder, or delete it first.")
     config = config_of(settings, spec, inputs.config.ensemble)
+    rebuild_policy(inputs)  # what is exported is whole
     arrays = _arrays(counterpart, settings, spec, inputs.params)
     scales = _scales(name, settings, spec, inputs.stats)
-    part = out.with_name(out.name + ".part")
-    shutil.rmtree(part, ignore_errors=True)
     try:
-        part.mkdir(parents=True)
-        safetensors_numpy().save_file(arrays, part / "model.safetensors")
-        write_json(part / "config.json", config)
-        write_pipelines(part, config, scales)
-        about = {k: getattr(inputs.config, k) for k in ABOUT}
-        write_json(part / "jaxcam.json", about | {"step": inputs.step})
-        os.replace(part, out)
+        with whole(out, folder=True) as part:
+            safetensors_numpy().save_file(arrays, part / "model.safetensors")
+            write_json(part / "config.json", config)
+            write_pipelines(part, config, scales)
+            about = {k: getattr(inputs.config, k) for k in ABOUT}
+            write_json(part / "jaxcam.json", about | {"step": inputs.step})
     except OSError as error:
-        raise CheckpointError(f"{part}: {error.strerror or error}. Make room, repeat.") from error
+        raise CheckpointError(
+            f"{out}: cannot be written: {error.strerror or error}. Make room and repeat."
+        ) from error
     notes = []
     if inputs.config.ensemble and is_delta(inputs.config.action_space):
         notes.append(DELTAS_AVERAGED)
@@ -143,9 +144,9 @@ def _arrays(counterpart: Counterpart, settings: Any, spec: PolicySpec, params: P
 
 def _scales(name: str, settings: Any, spec: PolicySpec, stats: Mapping[str, np.ndarray]) -> Arrays:
     """What the pipelines scale by, as if they were the data's statistics."""
-    found = {}
+    tensors = {}
     for feature, ours in ((ACTION, "action"), (STATE, "proprio")):
-        values = {k: np.asarray(stats[f"{ours}_{k}"], np.float32) for k in STATISTICS}
+        values = {k: statistic(stats, f"{ours}_{k}") for k in STATISTICS}
         if not settings.floors:
             pass  # LeRobot's own, which it scales by as they are
         elif name == "act":
@@ -155,12 +156,12 @@ def _scales(name: str, settings: Any, spec: PolicySpec, stats: Mapping[str, np.n
         else:
             middle, half, _ = action_range(stats) if ours == "action" else proprio_range(stats)
             values |= {"min": middle - half, "max": middle + half}
-        found |= {f"{feature}.{k}": v for k, v in values.items()}
+        tensors |= {f"{feature}.{k}": v for k, v in values.items()}
     mean, std = (x.reshape(3, 1, 1) for x in SCALINGS[settings.image_scaling])
     for image in map(IMAGE.format, range(spec.views)):
         ends = {"min": np.zeros_like(mean), "max": np.ones_like(mean)}
-        found |= {f"{image}.{k}": v for k, v in ({"mean": mean, "std": std} | ends).items()}
-    return found
+        tensors |= {f"{image}.{k}": v for k, v in ({"mean": mean, "std": std} | ends).items()}
+    return tensors
 
 
 @dataclass(frozen=True)
@@ -208,12 +209,12 @@ def read_foreign(folder: Path, config: TrainConfig | None = None) -> Foreign:
         )
     try:
         counterpart = check_type(theirs)
-        inputs = theirs.get("input_features") or {}
-        images = [k for k, feature in inputs.items() if feature["type"] == "VISUAL"]
+        inputs = features_of(folder / "config.json", theirs, "input_features")
+        images = [k for k, feature in inputs.items() if feature.type == "VISUAL"]
         settings, spec = settings_of(theirs, image_scaling_of(folder, images))
         sizes = {STATE: spec.proprio_dim, ACTION: spec.action_dim}
-        stats = stats_of(folder, counterpart.scaling, sizes)
-    except CheckpointError as error:
+        stats = read_stats(folder, counterpart.scaling, sizes)
+    except (CheckpointError, ConfigError) as error:
         raise CheckpointError(f"{folder} cannot be had here: {error}") from error
     if config is not None:
         _check_fit(folder, config, spec)

@@ -17,8 +17,12 @@ from jaxcam.console.progress import progress
 from jaxcam.data.recordings import Calibration, Episode, Recording, Sight
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.files.paths import absolute
-from jaxcam.interop.lerobot.recorded import images, videos
-from jaxcam.interop.lerobot.recorded.images import ImageClip, ImageReader
+from jaxcam.interop.lerobot.recorded.images import (
+    ImageClip,
+    ImageReader,
+    check_images,
+    identity_of_images,
+)
 from jaxcam.interop.lerobot.recorded.meta import (
     INFO,
     Info,
@@ -36,8 +40,13 @@ from jaxcam.interop.lerobot.recorded.naming import (
     view_names,
 )
 from jaxcam.interop.lerobot.recorded.readers import Readers
-from jaxcam.interop.lerobot.recorded.rows import EpisodeRows, read_rows
-from jaxcam.interop.lerobot.recorded.videos import VideoClip, VideoReader
+from jaxcam.interop.lerobot.recorded.rows import EpisodeRows, read_episode_rows
+from jaxcam.interop.lerobot.recorded.videos import (
+    VideoClip,
+    VideoReader,
+    check_video,
+    identity_of_video,
+)
 from jaxcam.rays.lens import PACKED
 
 MATRICES = {"intrinsics": (3, 3), "base_from_camera": (4, 4), "distortion": (PACKED,)}
@@ -45,7 +54,7 @@ MATRICES = {"intrinsics": (3, 3), "base_from_camera": (4, 4), "distortion": (PAC
 TOLERANCE = 0.1
 """What the time of a picture may be off, in steps."""
 
-Clip = VideoClip | ImageClip
+AnyClip = VideoClip | ImageClip
 
 
 @dataclass(frozen=True)
@@ -78,7 +87,7 @@ def read_lerobot(
 
     The fingerprint is a hash of all numbers, names, instructions and calibrations, and of the files
     of pictures: their names in the folder, their sizes, and of a table of images all of its
-    content, of a video its first and last 64 KiB (`videos.identity` says why).
+    content, of a video its first and last 64 KiB (`identity_of_video` says why).
 
     Args:
         path: The folder, which has `meta/info.json`.
@@ -107,7 +116,7 @@ def read_lerobot(
     )
     allowed = _tolerance(tolerance, info)
     tasks, places = read_tasks(root, info), read_episodes(root, info)
-    rows = sorted(read_rows(places, columns.all), key=lambda episode: episode.place.number)
+    rows = sorted(read_episode_rows(places, columns.all), key=lambda episode: episode.place.number)
     names = [
         number_names(info.features, keys, [rows[0].columns[k].shape[1] for k in keys], where)
         for keys in (columns.state, columns.action)
@@ -155,7 +164,7 @@ def _camera_columns(info: Info, view: str) -> dict[str, str]:
     return there if {"intrinsics", "base_from_camera"} <= there.keys() else {}
 
 
-def _clip(info: Info, rows: EpisodeRows, view: str, key: str, tolerance: float) -> Clip | None:
+def _clip(info: Info, rows: EpisodeRows, view: str, key: str, tolerance: float) -> AnyClip | None:
     """Where a camera's pictures of an episode are; None where it did not see it."""
     place = rows.place
     if info.features[key].dtype == "image":
@@ -167,10 +176,10 @@ def _clip(info: Info, rows: EpisodeRows, view: str, key: str, tolerance: float) 
 
 
 def _check_pictures(
-    clips: Sequence[Mapping[str, Clip]], console: Console | None
+    clips: Sequence[Mapping[str, AnyClip]], console: Console | None
 ) -> dict[tuple[Path, str], tuple[int, int]]:
     """Height and width of every file's pictures, by file and view; refuses what cannot be read."""
-    inside: dict[tuple[Path, str], list[Clip]] = {}
+    inside: dict[tuple[Path, str], list[AnyClip]] = {}
     for clip in (clip for views in clips for clip in views.values()):
         inside.setdefault((clip.file, clip.view), []).append(clip)
     sizes = {}
@@ -178,10 +187,10 @@ def _check_pictures(
         for (file, view), of_file in inside.items():
             first = of_file[0]
             if isinstance(first, ImageClip):
-                sizes[file, view] = images.check_images(first)
+                sizes[file, view] = check_images(first)
             else:
                 own = [clip for clip in of_file if isinstance(clip, VideoClip)]
-                sizes[file, view] = videos.check_video(file, own)
+                sizes[file, view] = check_video(file, own)
             advance()
     return sizes
 
@@ -219,7 +228,7 @@ def _instruction(rows: EpisodeRows, tasks: Mapping[int, str]) -> str:
 
 def _sights(
     rows: Sequence[EpisodeRows],
-    clips: Sequence[Mapping[str, Clip]],
+    clips: Sequence[Mapping[str, AnyClip]],
     columns: _Columns,
     sizes: Mapping[tuple[Path, str], tuple[int, int]],
 ) -> Iterator[dict[str, Sight]]:
@@ -236,7 +245,7 @@ def _sights(
         yield sights
 
 
-def _sized(readers: Readers, clip: Clip, size: tuple[int, int]) -> Iterator[np.ndarray]:
+def _sized(readers: Readers, clip: AnyClip, size: tuple[int, int]) -> Iterator[np.ndarray]:
     """A clip's pictures, which all have one size."""
     for step, shown in enumerate(readers.decode(clip)):
         if shown.shape[:2] != size:
@@ -247,7 +256,7 @@ def _sized(readers: Readers, clip: Clip, size: tuple[int, int]) -> Iterator[np.n
         yield shown
 
 
-def _calibration(clip: Clip, rows: EpisodeRows, columns: Mapping[str, str]) -> Calibration:
+def _calibration(clip: AnyClip, rows: EpisodeRows, columns: Mapping[str, str]) -> Calibration:
     """What the columns of a camera say; what stays the same through an episode is kept once."""
     values = {}
     for what, name in columns.items():
@@ -266,7 +275,7 @@ def _calibration(clip: Clip, rows: EpisodeRows, columns: Mapping[str, str]) -> C
     )
 
 
-def _fingerprint(recording: Recording, clips: Sequence[Mapping[str, Clip]]) -> str:
+def _fingerprint(recording: Recording, clips: Sequence[Mapping[str, AnyClip]]) -> str:
     """16 hex digits for all that training sees, see `read_lerobot`."""
     digest, known = hashlib.sha256(), {}  # identities of files
 
@@ -282,9 +291,16 @@ def _fingerprint(recording: Recording, clips: Sequence[Mapping[str, Clip]]) -> s
         for view, clip in by_view.items():
             file, camera = clip.file, episode.sights[view].calibration
             if file not in known:
-                known[file] = (images if isinstance(clip, ImageClip) else videos).identity(file)
+                known[file] = _identity(clip)
             place = clip.first if isinstance(clip, ImageClip) else clip.times
             add(view, str(file.relative_to(recording.path)), known[file], place)
             if camera is not None:
                 add(camera.K, camera.base_from_camera, camera.distortion)
     return digest.hexdigest()[:16]
+
+
+def _identity(clip: AnyClip) -> bytes:
+    """What tells a clip's file from another."""
+    if isinstance(clip, ImageClip):
+        return identity_of_images(clip.file)
+    return identity_of_video(clip.file)

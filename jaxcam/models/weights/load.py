@@ -7,6 +7,7 @@ shape, and everything in it must have a place here, or be known to have none.
 
 import hashlib
 import json
+import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -24,7 +25,7 @@ from jaxcam.errors import CheckpointError
 from jaxcam.files.paths import absolute
 from jaxcam.files.whole import write_atomically
 from jaxcam.models.policy import Params
-from jaxcam.models.weights.names import MAPS, NameMap, recognise, unwrap
+from jaxcam.models.weights.names import MAPS, NameMap, name_map_of, unwrap
 from jaxcam.models.weights.torch_files import read_torch
 
 LFS_HEAD = b"version https://git-lfs.github.com/spec/"
@@ -35,6 +36,9 @@ FLOAT8 = {
     "F8_E8M0": ml_dtypes.float8_e8m0fnu,
 }
 """Types of safetensors that NumPy has no names for."""
+READ = {"F64", "F32", "F16", "BF16", "I64", "I32", "I16", "I8", "U64", "U32", "U16", "U8", "BOOL",
+        "C64", *FLOAT8}  # fmt: skip
+"""Types of safetensors that are read."""
 NORM, COUNTER = ("weight", "bias", "running_mean", "running_var"), "num_batches_tracked"
 """What PyTorch calls the arrays of a batch norm, and the count beside them."""
 SHOWN = 5
@@ -76,7 +80,7 @@ def read_weights(path: str | Path) -> Weights:
     with path.open("rb") as file:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()
     arrays = unwrap(arrays)
-    return Weights(path, arrays, recognise(list(arrays)), sha256)
+    return Weights(path, arrays, name_map_of(list(arrays)), sha256)
 
 
 def check_head(path: Path) -> None:
@@ -105,7 +109,7 @@ def check_head(path: Path) -> None:
 def _read_safetensors(path: Path) -> dict[str, np.ndarray]:
     try:
         # Here, since only the extra `smolvla` brings it.
-        from safetensors import SafetensorError, deserialize, safe_open
+        from safetensors import SafetensorError, safe_open
     except ImportError as error:
         raise CheckpointError(
             "Reading .safetensors needs the package safetensors: pip install 'jaxcam[smolvla]'"
@@ -113,15 +117,27 @@ def _read_safetensors(path: Path) -> dict[str, np.ndarray]:
     try:
         with safe_open(path, framework="numpy") as file:
             types = {name: file.get_slice(name).get_dtype() for name in file.keys()}  # noqa: SIM118
-            arrays = {n: file.get_tensor(n) for n, kind in types.items() if kind not in FLOAT8}
-        if len(arrays) < len(types):
-            for name, about in deserialize(path.read_bytes()):
-                if (kind := types[name]) in FLOAT8:
-                    array = np.frombuffer(about["data"], FLOAT8[kind])
-                    arrays[name] = array.reshape(about["shape"])
-        return {name: arrays[name] for name in types}
-    except (SafetensorError, TypeError, AttributeError) as error:  # The last are of new types.
+            if odd := [f"{name} ({kind})" for name, kind in types.items() if kind not in READ]:
+                raise CheckpointError(
+                    f"{path} holds numbers of a kind that is not read here:"
+                    + _listed("arrays are such", odd)
+                    + " Save its weights as float32."
+                )
+            return {
+                name: _float8(path, name, FLOAT8[kind]) if kind in FLOAT8 else file.get_tensor(name)
+                for name, kind in types.items()
+            }
+    except (SafetensorError, TypeError) as error:
         raise CheckpointError(f"{path} is not a whole .safetensors file: {error}.") from error
+
+
+def _float8(path: Path, name: str, dtype: Any) -> np.ndarray:
+    """An array of a whole safetensors file: 8 bytes say how long the JSON is before the arrays."""
+    with path.open("rb") as file:
+        length = int.from_bytes(file.read(8), "little")
+        about = json.loads(file.read(length))[name]
+    shape, (start, _) = about["shape"], about["data_offsets"]
+    return np.fromfile(path, dtype, math.prod(shape), offset=8 + length + start).reshape(shape)
 
 
 def record_weights(folder: Path, weights: Weights) -> None:
@@ -317,18 +333,14 @@ def _listed(what: str, names: list[str]) -> str:
     return f" {len(names)} {what}: {', '.join(names[:SHOWN])}{more}." if names else ""
 
 
-def show(weights: Weights) -> None:
+def show_weights(weights: Weights, console: Console) -> None:
     """Print what a file is, and its arrays."""
     table = Table("name", "shape", "type", box=None)
     for name, array in weights.arrays.items():
-        table.add_row(
-            name if name.isprintable() else repr(name),
-            "x".join(map(str, array.shape)) or "scalar",
-            str(array.dtype),
-        )
-    console = Console(markup=False)
+        table.add_row(name, "x".join(map(str, array.shape)) or "scalar", str(array.dtype))
     console.print(table)
     count = sum(array.size for array in weights.arrays.values())
     kind = weights.kind.title if weights.kind else "of an unknown kind"
-    console.print(f"{weights.path}: {kind}, {len(weights.arrays)} arrays, {count:,} numbers")
+    what = f"{weights.path}: {kind}, {len(weights.arrays)} arrays, {count:,} numbers"
+    console.print(what, soft_wrap=True)
     console.print(f"sha256 {weights.sha256}", soft_wrap=True)

@@ -160,7 +160,7 @@ MAPS = (
 """Checkpoints that can be loaded."""
 
 
-def recognise(names: list[str]) -> NameMap | None:
+def name_map_of(names: list[str]) -> NameMap | None:
     """The map of a checkpoint with these names."""
     for known in MAPS:
         if any(re.fullmatch(known.marker, name) for name in names):
@@ -183,11 +183,11 @@ def unwrap(arrays: Arrays) -> Arrays:
         arrays: By their names in the file.
     """
     plain = {re.sub(r"(^|\.)_orig_mod\.", r"\1", name): array for name, array in arrays.items()}
-    if len(plain) < len(arrays) or recognise(list(plain)) is not None:
+    if len(plain) < len(arrays) or name_map_of(list(plain)) is not None:
         return plain if len(plain) == len(arrays) else arrays
     for prefix in WRAPPED:
         inner = {n.removeprefix(prefix): a for n, a in plain.items() if n.startswith(prefix)}
         whole = len(inner) == len(plain) or "state_dict" in prefix
-        if inner and whole and recognise(list(unwrapped := unwrap(inner))) is not None:
+        if inner and whole and name_map_of(list(unwrapped := unwrap(inner))) is not None:
             return unwrapped
     return arrays

@@ -27,6 +27,8 @@ LEGACY_MAGIC = 0x1950A86A20F9469CFC6C
 """The first pickle of a file in the old layout."""
 MOST_PICKLE, MOST_STEPS = 2**25, 2**20
 """Bytes and instructions of the longest pickle that is read; that of 500 tensors has 20,000."""
+MOST_DIRECTORY = 2**22
+"""Bytes of an archive's list of files, in memory ten times as many; 500 tensors have 40,000."""
 MOST_AXES, MOST_NESTED = 64, 100
 """Axes of a tensor, and containers around it."""
 
@@ -104,12 +106,12 @@ class _Allowance:
     """
 
     def __init__(self, size: int) -> None:
-        self._left = 4 * size + 2**24
+        self._unused = 4 * size + 2**24
 
     def take(self, count: int) -> None:
         """Count bytes as taken; `_OutsizedError` if they are too many."""
-        self._left -= count
-        if self._left < 0:
+        self._unused -= count
+        if self._unused < 0:
             raise _OutsizedError
 
 
@@ -210,6 +212,8 @@ def read_torch(path: str | Path) -> dict[str, np.ndarray]:
     try:
         allowance = _Allowance(Path(path).stat().st_size)
         if zipfile.is_zipfile(path):
+            if _directory_size(Path(path)) > MOST_DIRECTORY:
+                raise _OutsizedError
             with zipfile.ZipFile(path) as archive:
                 return _read_zip(archive, allowance)
         with open(path, "rb") as file:
@@ -236,6 +240,26 @@ def read_torch(path: str | Path) -> dict[str, np.ndarray]:
         raise CheckpointError(
             f"{path} is not a whole PyTorch file ({type(error).__name__}: {error})."
         ) from error
+
+
+def _directory_size(path: Path) -> int:
+    """Bytes of the list of files in a zip archive, as the records at its end say.
+
+    The record stands at the very end, or before a comment of up to 64 kB; one for large archives
+    (zip64), and 20 bytes that point to it, stand right before it.
+    """
+    end, pointer, large = 22, 20, 56
+    with path.open("rb") as file:
+        size = file.seek(0, io.SEEK_END)
+        file.seek(max(size - 2**16 - end - pointer - large, 0))
+        tail = file.read()
+    at = len(tail) - end
+    if tail[at : at + 4] != b"PK\5\6" or tail[-2:] != b"\0\0":
+        at = tail.rfind(b"PK\5\6")
+    start = at - pointer - large
+    if start >= 0 and tail[start : start + 4] == b"PK\6\6":
+        return int.from_bytes(tail[start + 40 : start + 48], "little")
+    return int.from_bytes(tail[at + 12 : at + 16], "little")
 
 
 def _read_zip(archive: zipfile.ZipFile, allowance: _Allowance) -> dict[str, np.ndarray]:

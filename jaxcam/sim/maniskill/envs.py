@@ -105,9 +105,9 @@ class JaxcamEnv(BaseEnv):
         super()._load_scene(options)
         self.actors = [self.scene.actors[name] for name in self.task.objects()]
         self.markers = [self.scene.actors[name] for name in self.task.markers]
-        self._seen_table = None
+        self._drawn_table = None
         if self.world.name == "randomized":
-            self._seen_table = SeenTable(self.scene, self.table_scene, self.table_stretch)
+            self._drawn_table = SeenTable(self.scene, self.table_scene, self.table_stretch)
         if self._eye_size:
             builder = self.scene.create_actor_builder()
             builder.initial_pose = sapien.Pose()
@@ -157,8 +157,8 @@ class JaxcamEnv(BaseEnv):
             actor.set_angular_velocity(self._tensor(move[:, 3:]))
         for marker, pose in zip(self.markers, start.fixtures[:, 2:].swapaxes(0, 1), strict=True):
             marker.set_pose(Pose.create(self._tensor(pose)))
-        if self._seen_table is not None:
-            self._seen_table.place(self._tensor, start.fixtures[:, 0])
+        if self._drawn_table is not None:
+            self._drawn_table.place(self._tensor, start.fixtures[:, 0])
 
     def put(self, start: Start, qvel: np.ndarray) -> None:
         """Puts all environments at states between resets; see `begin`."""

@@ -56,7 +56,8 @@ class Device(NamedTuple):
         try:
             done = subprocess.run(
                 [sys.executable, "-c", code],
-                capture_output=True, text=True, env=environment(), timeout=_PATIENCE, check=False,
+                capture_output=True, text=True, env=child_environment(),
+                timeout=_PATIENCE, check=False,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
             return cls("", f"no answer within {_PATIENCE} s")
@@ -75,7 +76,7 @@ def versions() -> dict[str, str]:
     return {name: version(name) for name in PACKAGES.values() if name not in missing_packages()}
 
 
-def environment() -> dict[str, str]:
+def child_environment() -> dict[str, str]:
     """Environment of the processes that load SAPIEN.
 
     Without an NVIDIA card Vulkan is pointed to lavapipe alone, unless the user points it elsewhere:

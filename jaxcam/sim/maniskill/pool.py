@@ -23,7 +23,7 @@ from socket import socketpair
 from typing import Any
 
 from jaxcam.errors import SimError
-from jaxcam.sim.maniskill.machine import device, environment, require, require_cuda
+from jaxcam.sim.maniskill.machine import child_environment, device, require, require_cuda
 from jaxcam.sim.maniskill.memory import Memory, Sizes, open_memory
 from jaxcam.sim.maniskill.scene import SapienWorld
 from jaxcam.sim.maniskill.worlds import Assignment
@@ -118,7 +118,7 @@ class Child:
         ends = (theirs.fileno(), self._file)
         self._process = subprocess.Popen(
             [sys.executable, "-m", "jaxcam.sim.maniskill.worker", *map(str, ends), assignment],
-            pass_fds=ends, env=environment(),
+            pass_fds=ends, env=child_environment(),
             stdin=subprocess.DEVNULL, stdout=self._words, stderr=self._words,
         )  # fmt: skip
         theirs.close()

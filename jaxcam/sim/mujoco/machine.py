@@ -6,6 +6,8 @@ import os
 import jax
 import warp as wp
 
+from jaxcam.errors import MachineError
+
 
 def has_accelerator() -> bool:
     """Whether JAX runs on a GPU or another accelerator; on a CPU Warp has one thread only."""
@@ -14,12 +16,21 @@ def has_accelerator() -> bool:
 
 @functools.cache
 def start_warp() -> None:
-    """Starts Warp without its greeting and, on a machine without CUDA, its complaint."""
+    """Starts Warp without its greeting and, on a machine without CUDA, its complaint.
+
+    Raises:
+        MachineError: The folder that its compiled kernels go to cannot be made.
+    """
     wp.config.log_level = wp.LOG_ERROR
     stderr, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nowhere, 2)
         wp.init()
+    except OSError as error:
+        raise MachineError(
+            f"{error.filename}: {error.strerror}. Warp keeps compiled kernels there: set "
+            "WARP_CACHE_PATH to a folder that can be written."
+        ) from error
     finally:
         os.dup2(stderr, 2)
         os.close(stderr)

@@ -15,6 +15,7 @@ from jaxcam.rays import POSE_RANGES, invert, sample_poses
 from jaxcam.rays.rotations import matrix_from_quaternion, matrix_from_rotvec, rotvec_from_matrix
 from jaxcam.sim import make_engine, make_task
 from jaxcam.sim.experts import CLOSE_BY, FAR, STEP, STRETCH, TURN, pushing_grip
+from jaxcam.sim.maniskill.machine import child_environment, device
 from jaxcam.sim.task import starts
 from jaxcam.sim.types import Start, State
 
@@ -46,13 +47,13 @@ def x_axis(pose):
 
 
 def test_what_the_paper_says_of_the_tasks():
-    told = {name: make_task(name) for name in NAMES}
-    assert {n: t.horizon for n, t in told.items()} == dict(zip(NAMES, (150, 450, 150), strict=True))
-    assert {n: t.views for n, t in told.items()} == dict(zip(NAMES, (1, 1, 2), strict=True))
-    assert [told[n].stair for n in NAMES] == [(3, 1), (3, 1), (4, 2)]
-    for name, task in told.items():
+    tasks = {name: make_task(name) for name in NAMES}
+    assert [tasks[n].horizon for n in NAMES] == [150, 450, 150]
+    assert [tasks[n].views for n in NAMES] == [1, 1, 2]
+    assert [tasks[n].stair for n in NAMES] == [(3, 1), (3, 1), (4, 2)]
+    for name, task in tasks.items():
         assert task.cameras is POSE_RANGES[f"maniskill_{name}"]
-    np.testing.assert_allclose([told[n].fovy_deg for n in NAMES], [57.29578, 57.29578, 90])
+    np.testing.assert_allclose([tasks[n].fovy_deg for n in NAMES], [57.29578, 57.29578, 90])
 
 
 def test_push_starts_as_the_authors_do():
@@ -150,8 +151,8 @@ def test_success_is_the_authors_on_host_and_on_device(case, done):
     task, world, state, start = at(*case)
     assert task.success(world, state, start).tolist() == [done] * 3
     on_device = jax.jit(lambda state, start: task.success(world, state, start))
-    found = on_device(State(*map(jnp.asarray, state)), Start(*map(jnp.asarray, start)))
-    assert found.tolist() == [done] * 3
+    success = on_device(State(*map(jnp.asarray, state)), Start(*map(jnp.asarray, start)))
+    assert success.tolist() == [done] * 3
 
 
 def test_nothing_is_done_at_the_start(world):
@@ -167,9 +168,9 @@ def test_cameras_see_what_is_moved(world):
     cameras = sample_poses(task.cameras, 200, 23)
     points = np.concatenate([start.qpos[:, None, 9:12], start.fixtures[:, 2:, :3]], 1)
     camera_from_world = np.asarray(invert(cameras))
-    seen = points @ camera_from_world[:, :3, :3].swapaxes(1, 2) + camera_from_world[:, None, :3, 3]
+    local = points @ camera_from_world[:, :3, :3].swapaxes(1, 2) + camera_from_world[:, None, :3, 3]
     half = np.tan(np.deg2rad(task.fovy_deg) / 2)
-    inside = (abs(seen[..., :2]) < half * seen[..., 2:]).all(-1)
+    inside = (abs(local[..., :2]) < half * local[..., 2:]).all(-1)
     assert inside.mean() > {"push": 0.9, "lift_upright": 0.95, "roll_ball": 0.75}[task.name]
 
 
@@ -241,7 +242,7 @@ import jaxcam.sim.maniskill.envs
 from jaxcam.rays import from_maniskill, sample_poses
 
 K = np.array([[50.0, 0, 30], [0, 55, 33], [0, 0, 1]])
-found = {}
+measured = {}
 for env_id in ("JaxcamPush-v1", "JaxcamLiftUpright-v1", "JaxcamRollBall-v1"):
     for scene in ("fixed", "randomized"):
         env = gymnasium.make(env_id, scene=scene, resolution=64, render_backend=sys.argv[1],
@@ -253,19 +254,19 @@ for env_id in ("JaxcamPush-v1", "JaxcamLiftUpright-v1", "JaxcamRollBall-v1"):
             after.append(env.state().qpos[0])
         poses = sample_poses(task.cameras, task.views, 4)
         env.set_cameras(np.tile(K, (task.views, 1, 1)), poses)
-        seen = env.get_obs()
+        obs = env.get_obs()
         wrong = []
-        for told, pose in zip(seen["sensor_param"].values(), poses, strict=True):
-            wrong.append(abs(np.asarray(told["intrinsic_cv"][0]) - K).max())
-            wrong.append(abs(from_maniskill(np.asarray(told["extrinsic_cv"][0])) - pose).max())
-        views = list(seen["sensor_data"].values())
+        for params, pose in zip(obs["sensor_param"].values(), poses, strict=True):
+            wrong.append(abs(np.asarray(params["intrinsic_cv"][0]) - K).max())
+            wrong.append(abs(from_maniskill(np.asarray(params["extrinsic_cv"][0])) - pose).max())
+        views = list(obs["sensor_data"].values())
         ids = np.unique(np.asarray(views[0]["segmentation"]))
         named = env.segmentation_id_map
         gripper = env.agent.controller.controllers["gripper"].config
         markers = [np.asarray(marker.pose.raw_pose[0]) for marker in env.markers]
         body = sapien.render.RenderBodyComponent
         floor = env.table_scene.ground._objs[0].find_component_by_type(body).render_shapes[0]
-        found[f"{task.name} {scene}"] = dict(
+        measured[f"{task.name} {scene}"] = dict(
             start=float(abs(after[0] - start.qpos).max()),
             repeats=float(abs(after[3] - after[0]).max()),
             others=[float(abs(after[i + 1] - after[i]).max()) for i in (0, 1)],
@@ -280,18 +281,16 @@ for env_id in ("JaxcamPush-v1", "JaxcamLiftUpright-v1", "JaxcamRollBall-v1"):
             steps=gymnasium.spec(env_id).max_episode_steps,
         )
         env.close()
-print(json.dumps(found))
+print(json.dumps(measured))
 """
 
 
 @pytest.fixture(scope="module")
 def environments(maniskill):
     """What a process that uses the environments by itself finds."""
-    from jaxcam.sim.maniskill.machine import device, environment
-
     ran = subprocess.run(
         [sys.executable, "-c", ENVIRONMENTS, device().kind],
-        capture_output=True, text=True, check=False, env=environment(),
+        capture_output=True, text=True, check=False, env=child_environment(),
     )  # fmt: skip
     assert ran.returncode == 0, ran.stderr
     return json.loads(ran.stdout.splitlines()[-1])
@@ -300,16 +299,16 @@ def environments(maniskill):
 @pytest.mark.parametrize("scene", ["fixed", "randomized"])
 @pytest.mark.parametrize("name", NAMES)
 def test_environments_are_of_use_in_maniskill_alone(environments, name, scene):
-    found = environments[f"{name} {scene}"]
-    assert found["start"] < 1e-6  # float32
-    assert found["markers"] < 1e-6
-    assert found["repeats"] == 0
-    assert min(found["others"]) > 1e-3  # without a seed, each episode is another
-    assert found["steps"] == make_task(name).horizon
-    assert not found["done"]
+    measured = environments[f"{name} {scene}"]
+    assert measured["start"] < 1e-6  # float32
+    assert measured["markers"] < 1e-6
+    assert measured["repeats"] == 0
+    assert min(measured["others"]) > 1e-3  # without a seed, each episode is another
+    assert measured["steps"] == make_task(name).horizon
+    assert not measured["done"]
     is_fixed = scene == "fixed"
-    assert found["tables"] == ["table-workspace" if is_fixed else "seen_table"]
-    assert found["pattern"] == is_fixed
-    assert found["cameras"] < 1e-4
-    assert found["pictures"] == [[1, 64, 64, 3]] * make_task(name).views
-    assert found["gripper"] == [-0.03, 0.04, 3e3, 2e2, 300]
+    assert measured["tables"] == ["table-workspace" if is_fixed else "seen_table"]
+    assert measured["pattern"] == is_fixed
+    assert measured["cameras"] < 1e-4
+    assert measured["pictures"] == [[1, 64, 64, 3]] * make_task(name).views
+    assert measured["gripper"] == [-0.03, 0.04, 3e3, 2e2, 300]

@@ -20,7 +20,6 @@ from jaxcam.sim import engine_name, make_engine
 from jaxcam.sim.actions import decode, measured
 from jaxcam.sim.engine import OpenLoop
 from jaxcam.sim.mujoco.mjx import MjxEngine
-from jaxcam.sim.mujoco.mjx_model import check_pairs
 from jaxcam.sim.mujoco.mjx_room import LOST_FOR_GOOD, Room
 from jaxcam.sim.mujoco.native import NativeEngine
 from jaxcam.sim.rollout import Agent, Episodes, rollout
@@ -36,11 +35,11 @@ CONTROLLERS = ("osc_pose", "joint_position")
 @pytest.fixture(scope="module")
 def start(lift, scene):
     """Cubes of different sizes that touch the table, each in its own place."""
-    found = starts(lift, scene, range(WORLDS))
+    begun = starts(lift, scene, range(WORLDS))
     cube = scene.qpos_of("cube")
-    found.qpos[:, cube : cube + 2] = [[0, 0], [0.02, -0.1], [-0.05, 0.1]]
-    found.qpos[:, cube + 2] -= 0.0101
-    return found
+    begun.qpos[:, cube : cube + 2] = [[0, 0], [0.02, -0.1], [-0.05, 0.1]]
+    begun.qpos[:, cube + 2] -= 0.0101
+    return begun
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +70,7 @@ def follow(engine, start, commands, success=never, horizon=None, tick=lambda: No
     return np.asarray(way), progress
 
 
-def check_parity(engine, controller, lift, scene, start, steps):
+def assert_as_native(engine, controller, lift, scene, start, steps):
     native = NativeEngine(scene, controller, lift.varied)
     commands = wave(scene, native.reset(start), controller, steps)
     there, there_progress = follow(native, start, commands)
@@ -85,34 +84,13 @@ def check_parity(engine, controller, lift, scene, start, steps):
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_free_motion_and_contacts_are_as_native(lift, scene, start, warp, controller):
-    check_parity(warp[controller], controller, lift, scene, start, steps=3)  # 75 physics steps
+    assert_as_native(warp[controller], controller, lift, scene, start, steps=3)  # 75 physics steps
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_fifty_control_steps_are_as_native(lift, scene, start, warp, controller):
-    check_parity(warp[controller], controller, lift, scene, start, steps=50)
-
-
-def test_sizes_become_the_model_that_mujoco_derives(lift, scene, start, warp):
-    found = warp["osc_pose"].physics.bodies(start)
-    geom, body = scene.physics.geom("cube_g0").id, scene.physics.body("cube_main").id
-    for i, half in enumerate(start.geom_size[:, 0]):
-        spec = mujoco.MjSpec()
-        cube = spec.worldbody.add_body()
-        cube.add_freejoint()
-        density = scene.physics.body_mass[body] / (8 * scene.physics.geom_size[geom].prod())
-        cube.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=half, density=density)
-        model = spec.compile()
-        for name in ("body_mass", "body_inertia", "body_subtreemass", "body_invweight0"):
-            want = getattr(model, name)[1]
-            np.testing.assert_allclose(found[name][i, body], want, rtol=1e-5, err_msg=name)
-        dof = scene.physics.body_dofadr[body]
-        got = found["dof_invweight0"][i, dof : dof + 6]
-        np.testing.assert_allclose(got, model.dof_invweight0, rtol=1e-5)
-        got = [found["geom_size"][i, geom], found["geom_aabb"][i, geom].ravel()[3:]]
-        np.testing.assert_allclose(got, [half, half], rtol=1e-6)
-        np.testing.assert_allclose(found["geom_rbound"][i, geom], model.geom_rbound[0], rtol=1e-6)
+    assert_as_native(warp[controller], controller, lift, scene, start, steps=50)
 
 
 def test_an_edge_meets_a_face_as_in_the_c_library(scene, warp):
@@ -139,10 +117,10 @@ def test_an_edge_meets_a_face_as_in_the_c_library(scene, warp):
     physics, room = engine.physics, engine.room
     data = physics.scratch(count, room.contacts, room.rows).full
     forward = jax.vmap(lambda qpos: warp_forward(physics.model, data.replace(qpos=qpos)))
-    found = jax.jit(forward)(jnp.asarray(qpos, jnp.float32))._impl
-    rows = slice(int(np.max(found.nacon)))
-    worlds, dist = (np.ravel(x)[rows] for x in (found.contact__worldid, found.contact__dist))
-    geoms = np.sort(np.reshape(found.contact__geom, (-1, 2))[rows], -1)
+    outcome = jax.jit(forward)(jnp.asarray(qpos, jnp.float32))._impl
+    rows = slice(int(np.max(outcome.nacon)))
+    worlds, dist = (np.ravel(x)[rows] for x in (outcome.contact__worldid, outcome.contact__dist))
+    geoms = np.sort(np.reshape(outcome.contact__geom, (-1, 2))[rows], -1)
     rows = dist < -1e-5
     got = sorted(zip(worlds[rows], *geoms[rows].T, dist[rows], strict=True))
     assert len(want) >= 4 * count  # two on each pad
@@ -198,10 +176,10 @@ class ShortLift(Lift):
 
 def by_sight(gain, obs, call):
     """Moves [B, 4, 7] that depend on all that a policy is shown, and on the turn."""
-    seen = obs["image"].astype("float32").mean((1, 2, 3)) / 255  # [B, 3]
+    colour = obs["image"].astype("float32").mean((1, 2, 3)) / 255  # [B, 3]
     where = obs["proprio"][:, 7:10] + obs["base_from_camera"][:, 0, :3, 3]
-    move = gain * (seen - 0.3) + 0.002 * where + 0.005 * call
-    xp = array_namespace(seen)
+    move = gain * (colour - 0.3) + 0.002 * where + 0.005 * call
+    xp = array_namespace(colour)
     pose = xp.concatenate([move, 0 * move, xp.ones_like(move[:, :1])], -1)
     return xp.stack([pose] * 4, 1)
 
@@ -278,16 +256,6 @@ def test_engines_by_name(lift, scene):
         make_engine("mjx-wrap", scene, "osc_pose")
 
 
-def test_jax_refuses_pairs_by_name():
-    model = mujoco.MjModel.from_xml_string(
-        """<mujoco><worldbody><geom name="crate" type="box" size="1 1 1"/>
-        <body><freejoint/><geom name="tin" type="cylinder" size="1 1"/></body>
-        </worldbody></mujoco>"""
-    )
-    with pytest.raises(ConfigError, match=r"cannot collide (crate|tin) with (crate|tin).*native"):
-        check_pairs(model)
-
-
 def replayed(engine, demos, lift, scene, extra=0):
     """Expert demonstrations' commands, the last one kept for `extra` steps more."""
     start = starts_of(demos)
@@ -315,10 +283,10 @@ def test_a_held_cube_does_not_creep_out_of_the_grasp(demos, lift, scene):
 
 @pytest.mark.slow
 def test_demonstrations_succeed_as_on_the_native_engine(demos, lift, scene):
-    every = demos.episodes
+    episodes = demos.episodes
     outcomes = []
     for engine in (NativeEngine(scene, varied=lift.varied), MjxEngine(scene, varied=lift.varied)):
-        start, commands = replayed(engine, every, lift, scene)
+        start, commands = replayed(engine, episodes, lift, scene)
         outcomes.append(
             np.asarray(follow(engine, start, commands, lift.success_in(scene))[1].success)
         )
@@ -331,4 +299,4 @@ def test_demonstrations_succeed_as_on_the_native_engine(demos, lift, scene):
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_mjx_jax_is_as_native(lift, scene, start, controller):
     engine = MjxEngine(scene, controller, lift.varied, "jax")
-    check_parity(engine, controller, lift, scene, start, steps=50)
+    assert_as_native(engine, controller, lift, scene, start, steps=50)

@@ -40,17 +40,17 @@ def rows(start, which):
     return Start(*(x[which] for x in start))
 
 
-def same(a, b):
+def assert_same(a, b):
     for name, x, y in zip(a._fields, a, b, strict=True):
         np.testing.assert_array_equal(x, y, err_msg=name)
 
 
 @pytest.fixture(scope="module")
 def start(lift, scene):
-    found = starts(lift, scene, range(4))
+    begun = starts(lift, scene, range(4))
     cube = scene.qpos_of("cube")
-    found.qpos[:, cube : cube + 2] = [[0, 0], [0.02, -0.1], [-0.05, 0.1], [0.05, 0.03]]
-    return found
+    begun.qpos[:, cube : cube + 2] = [[0, 0], [0.02, -0.1], [-0.05, 0.1], [0.05, 0.03]]
+    return begun
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +63,7 @@ def test_any_number_of_threads_gives_the_same_bits(lift, scene, start, batch, th
     monkeypatch.setattr(native, "LEAST", 1)  # else so few worlds stay in one thread
     engine = NativeEngine(scene, varied=lift.varied, threads=threads)
     for a, b in zip(run(engine, lift, scene, start), batch, strict=True):
-        same(a, b)
+        assert_same(a, b)
     assert len(engine.shares) == threads
 
 
@@ -71,7 +71,7 @@ def test_singles_equal_the_batch_bit_for_bit(lift, scene, start, batch):
     engine = NativeEngine(scene, varied=lift.varied, threads=1)
     for i in (0, 2):  # one engine for both: the second world comes after another one's past
         for alone, together in zip(run(engine, lift, scene, rows(start, [i])), batch, strict=True):
-            same(alone, type(together)(*(x[[i]] for x in together)))
+            assert_same(alone, type(together)(*(x[[i]] for x in together)))
     assert abs(batch[-1].qpos[0] - batch[0].qpos[0]).max() > 0.01
 
 
@@ -81,7 +81,7 @@ def test_a_reset_forgets_everything(lift, scene, start):
     other = Start(start.qpos[::-1], start.geom_size[::-1], start.fixtures[::-1])
     run(engine, lift, scene, other, steps=4)
     for a, b in zip(run(engine, lift, scene, start, steps=4), first, strict=True):
-        same(a, b)
+        assert_same(a, b)
 
 
 def test_a_step_before_the_first_reset_is_refused(lift, scene, batch):
@@ -140,7 +140,7 @@ def test_a_diverging_world_is_flagged_and_the_others_go_on(
     np.testing.assert_array_equal(states[-1].closed[1], states[6].closed[1])
     assert np.isfinite(states[-1].grip_position).all()
     for again, before in zip(run(engine, lift, scene, start), batch, strict=True):
-        same(again, before)
+        assert_same(again, before)
     assert "QVEL at DOF 3" in caplog.text
     assert not list(tmp_path.iterdir())  # where MuJoCo would write its own log
 
@@ -151,7 +151,7 @@ def test_when_all_diverge_the_batch_is_still_there(lift, scene, start):
     states[-1].qvel[:] = np.nan
     after = engine.step(states[-1], Command(np.ones((2, 6)), np.ones(2)))
     assert not after.ok.any()
-    same(engine.step(after, Command(np.ones((2, 6)), np.ones(2))), after)
+    assert_same(engine.step(after, Command(np.ones((2, 6)), np.ones(2))), after)
 
 
 def test_more_worlds_than_go_together(lift, scene, start, batch):

@@ -50,9 +50,9 @@ def cast(scene, lift, view, i, camera):
     geoms, distance = np.empty(len(pixels), np.int32), np.empty(len(pixels))
     groups = np.array([0, 1, 0, 0, 0, 0], np.uint8)
     for k, direction in enumerate(pixels):
-        found = np.array([-1], np.int32)
-        distance[k] = mujoco.mj_ray(model, data, pose[:3, 3], direction, groups, 1, -1, found)
-        geoms[k] = found[0]
+        hit = np.array([-1], np.int32)
+        distance[k] = mujoco.mj_ray(model, data, pose[:3, 3], direction, groups, 1, -1, hit)
+        geoms[k] = hit[0]
     model.geom_size[ids], model.geom_rbound[ids], model.geom_aabb[ids] = before
     depth = np.where(geoms < 0, np.inf, distance * (pixels @ pose[:3, 2]))
     return depth.reshape(rays.shape[:2]), geoms.reshape(rays.shape[:2])
@@ -84,14 +84,14 @@ def test_depth_unprojected_with_our_rays_lands_on_the_geometry(lift, drawn):
         # The tracer takes float32 and edges may fall on either side, so: nearly all pixels agree.
         agree = np.isclose(depth[i], expected, rtol=0, atol=1e-4)
         assert agree.mean() > 0.995, i
-        seen = np.isfinite(depth[i]) & agree
-        points = np.asarray(camera.unproject(np.where(seen, depth[i], 1.0)))
-        slab = points[seen & (geom == table)]
+        drawn = np.isfinite(depth[i]) & agree
+        points = np.asarray(camera.unproject(np.where(drawn, depth[i], 1.0)))
+        slab = points[drawn & (geom == table)]
         faces = on_box(slab, view.fixtures[i, 0], scene.visual.geom("table_visual").size)
         np.testing.assert_allclose(faces, 0, atol=1e-4)
         on_table += (abs(slab[:, 2] - TABLE_TOP) < 1e-4).sum()
         at = scene.qpos_of("cube")
-        block = points[seen & (geom == cube)]
+        block = points[drawn & (geom == cube)]
         faces = on_box(block, view.qpos[i, at : at + 7], view.geom_size[i, 0])
         np.testing.assert_allclose(faces, 0, atol=1e-4)
         on_cube += len(block)

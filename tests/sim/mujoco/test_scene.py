@@ -1,4 +1,4 @@
-"""The slim physics model is the full one as far as motion goes; starts are what the paper says."""
+"""Scenes: the slim model moves like robosuite's, and the visual model shows it."""
 
 import itertools
 
@@ -6,15 +6,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from jaxcam.errors import ConfigError
 from jaxcam.rays.rotations import matrix_from_quaternion
-from jaxcam.sim import make_task
 from jaxcam.sim.mujoco.mjcf import TABLE_SIZE, assemble
-from jaxcam.sim.mujoco.native import NativeEngine
 from jaxcam.sim.mujoco.scene import FIXTURES, SHEET_HALF_SIZE, build_scene
 from jaxcam.sim.mujoco.table import TABLE_TOP
-from jaxcam.sim.task import ROOM_SHIFT, START_JOINT_NOISE, TABLE_SHIFT, starts
-from jaxcam.sim.tasks.lift import HALF_SIZE, LIFTED, PLACEMENT
 
 
 @pytest.fixture(scope="module")
@@ -71,15 +66,15 @@ def test_slim_model_moves_like_the_full_one(full_and_scene):
     assert slim.opt.timestep == full.opt.timestep
     qpos, qvel = slim.qpos0.copy(), rng.normal(size=slim.nv)
     qpos[scene.arm] = scene.home + 0.3 * rng.normal(size=7)
-    found = []
+    dynamics = []
     for model in (full, slim):
         data = mujoco.MjData(model)
         data.qpos, data.qvel = qpos, qvel
         mujoco.mj_forward(model, data)
         mass = np.empty((model.nv, model.nv))
         mujoco.mj_fullM(model, data, mass)
-        found.append((mass, data.qfrc_bias.copy(), data.qfrc_passive.copy()))
-    for a, b in zip(*found, strict=True):
+        dynamics.append((mass, data.qfrc_bias.copy(), data.qfrc_passive.copy()))
+    for a, b in zip(*dynamics, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-9)
 
 
@@ -130,58 +125,3 @@ def test_only_the_fixed_scene_shows_walls_and_a_table_with_edges(scenes):
     tops = {name: s.visual.geom("table_visual").size[:2] for name, s in scenes.items()}
     np.testing.assert_allclose(tops["fixed"], np.array(TABLE_SIZE[:2]) / 2)
     np.testing.assert_allclose(tops["randomized"], SHEET_HALF_SIZE)
-
-
-def test_the_same_seed_gives_the_same_start_in_both_scenes(lift, scenes):
-    fixed, randomized = (starts(lift, scenes[n], range(20)) for n in ("fixed", "randomized"))
-    np.testing.assert_array_equal(fixed.qpos, randomized.qpos)
-    np.testing.assert_array_equal(fixed.geom_size, randomized.geom_size)
-    assert (fixed.fixtures == fixed.fixtures[0]).all()
-    assert len(np.unique(randomized.fixtures[:, :, 0])) == 40
-    again = lift.start(scenes["randomized"], 13)
-    np.testing.assert_array_equal(again.qpos, randomized.qpos[13])
-    np.testing.assert_array_equal(again.fixtures, randomized.fixtures[13])
-    assert (np.ptp(randomized.qpos, 0)[:7] > 0).all()
-
-
-def test_starts_fill_their_ranges_and_stay_inside(lift, scene):
-    start = starts(lift, scene, range(400))
-    cube = scene.qpos_of("cube")
-    place, half = start.qpos[:, cube : cube + 3], start.geom_size[:, 0]
-    for values, low, high in (
-        (place[:, :2], -PLACEMENT, PLACEMENT),
-        (half, *HALF_SIZE),
-        (start.fixtures[:, 0, :2], -TABLE_SHIFT, TABLE_SHIFT),
-        (start.fixtures[:, 1, :2], -ROOM_SHIFT, ROOM_SHIFT),
-    ):
-        assert low <= values.min() < low + 0.05 * (high - low)
-        assert high >= values.max() > high - 0.05 * (high - low)
-    np.testing.assert_allclose(place[:, 2], TABLE_TOP + half[:, 2] + 0.01)
-    yaw = 2 * np.arctan2(start.qpos[:, cube + 6], start.qpos[:, cube + 3])
-    assert np.ptp(yaw) > 1.9 * np.pi
-    noise = start.qpos[:, scene.arm] - scene.home
-    assert abs(noise.std() / START_JOINT_NOISE - 1) < 0.05
-    top = start.fixtures[:, 0, 2] + scene.visual.geom("table_visual").size[2]
-    np.testing.assert_allclose(top, TABLE_TOP)
-    np.testing.assert_allclose(np.linalg.norm(start.fixtures[..., 3:], axis=-1), 1)
-
-
-def test_lifted_is_four_centimetres_above_the_table(lift, scene):
-    start = starts(lift, scene, range(3))
-    state = NativeEngine(scene, varied=lift.varied).reset(start)
-    state.qpos[:, scene.qpos_of("cube") + 2] = TABLE_TOP + LIFTED + np.array([-1e-6, 1e-6, 0.1])
-    assert LIFTED == 0.04
-    assert lift.success(scene, state, start).tolist() == [False, True, True]
-
-
-def test_proprio_is_in_the_base_frame(lift, scene):
-    qpos = lift.start(scene, 0).qpos
-    qpos[scene.fingers] = 0.01, -0.02
-    felt = scene.proprio(qpos, scene.world_from_base[:3, 3] + [0.1, 0.2, 0.3])
-    assert felt.dtype == np.float32
-    np.testing.assert_allclose(felt, [*qpos[scene.arm], 0.1, 0.2, 0.3, 0.03], rtol=1e-6)
-
-
-def test_unknown_task_names_the_closest():
-    with pytest.raises(ConfigError, match="Unknown task 'lfit', did you mean 'lift'"):
-        make_task("lfit")

@@ -55,7 +55,7 @@ def check_images(clip: ImageClip) -> tuple[int, int]:
     return height, width
 
 
-def identity(file: Path) -> bytes:
+def identity_of_images(file: Path) -> bytes:
     """A hash of all of a table: pictures are all over it, and nothing in it is a digest of them.
 
     Args:

@@ -40,7 +40,7 @@ _VALID = ("val", "valid", "validation", "test")
 
 
 @dataclass(frozen=True)
-class Feature:
+class FeatureInfo:
     """A column, a video or images."""
 
     dtype: str
@@ -67,7 +67,7 @@ class Info:
 
     codebase_version: str
     fps: float
-    features: dict[str, Feature]
+    features: dict[str, FeatureInfo]
     total_episodes: int
     data_path: str
     total_tasks: int = 0
@@ -146,11 +146,11 @@ def read_info(root: Path) -> Info:
     return info
 
 
-def _features(content: Any) -> dict[str, Feature]:
+def _features(content: Any) -> dict[str, FeatureInfo]:
     if not isinstance(content, dict):
         raise ConfigError(f"features are names with what each one is, got {short(content)}.")
     return {
-        name: as_record(Feature, _known(Feature, values), f"feature '{name}'")
+        name: as_record(FeatureInfo, _known(FeatureInfo, values), f"feature '{name}'")
         for name, values in content.items()
     }
 
@@ -232,7 +232,7 @@ def _old_places(root: Path, info: Info) -> Iterator[EpisodePlace]:
         e = row.episode_index
         numbers: dict[str, Any] = {"episode_chunk": e // info.chunks_size, "episode_index": e}
         files = {k: _video(root, info, video_key=k, **numbers) for k in videos}
-        table = place(root, info.data_path, numbers)
+        table = path_in(root, info.data_path, numbers)
         yield EpisodePlace(e, row.length, table, None, {k: (f, 0.0) for k, f in files.items()})
 
 
@@ -265,7 +265,7 @@ def _new_places(root: Path, info: Info) -> Iterator[EpisodePlace]:
             yield EpisodePlace(
                 number=e,
                 length=length,
-                table=place(root, info.data_path, numbers),
+                table=path_in(root, info.data_path, numbers),
                 first=first,
                 videos={video: start for video, start in given.items() if start is not None},
             )
@@ -289,10 +289,10 @@ def _start(
 def _video(root: Path, info: Info, **values: Any) -> Path:
     if info.video_path is None:
         raise DatasetError(f"{root / INFO} has videos among its features, and no video_path.")
-    return place(root, info.video_path, values)
+    return path_in(root, info.video_path, values)
 
 
-def place(root: Path, pattern: str, values: Mapping[str, Any]) -> Path:
+def path_in(root: Path, pattern: str, values: Mapping[str, Any]) -> Path:
     """The file that a pattern of `meta/info.json` names, which lies in the folder.
 
     Args:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxcam.errors import DatasetError, closest
-from jaxcam.interop.lerobot.recorded.meta import Feature
+from jaxcam.interop.lerobot.recorded.meta import FeatureInfo
 
 INDICES = ("episode_index", "frame_index", "index", "task_index", "timestamp")
 """Columns of LeRobot's own."""
@@ -19,7 +19,7 @@ _DEEPEST = 8
 _PREFIXES = ("observation.images.", "observation.")
 
 
-def view_names(features: Mapping[str, Feature], where: str) -> dict[str, str]:
+def view_names(features: Mapping[str, FeatureInfo], where: str) -> dict[str, str]:
     """Names of the cameras, and of each one the feature: `top` of `observation.images.top`.
 
     Args:
@@ -52,7 +52,7 @@ def view_names(features: Mapping[str, Feature], where: str) -> dict[str, str]:
 
 
 def columns_of(
-    features: Mapping[str, Feature], asked: Sequence[str], known: Sequence[str], where: str
+    features: Mapping[str, FeatureInfo], asked: Sequence[str], known: Sequence[str], where: str
 ) -> tuple[str, ...]:
     """The features that together are the state, or the action.
 
@@ -83,7 +83,7 @@ def columns_of(
 
 
 def number_names(
-    features: Mapping[str, Feature], columns: Sequence[str], sizes: Sequence[int], where: str
+    features: Mapping[str, FeatureInfo], columns: Sequence[str], sizes: Sequence[int], where: str
 ) -> tuple[str, ...]:
     """Names of the numbers of columns, one behind the other.
 

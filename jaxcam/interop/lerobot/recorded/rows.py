@@ -10,7 +10,7 @@ from jaxcam.errors import DatasetError
 from jaxcam.interop.lerobot.arrow import pa
 from jaxcam.interop.lerobot.recorded.meta import EpisodePlace
 from jaxcam.interop.lerobot.recorded.naming import INDICES
-from jaxcam.interop.lerobot.recorded.tables import numbers, read_table
+from jaxcam.interop.lerobot.recorded.tables import read_table, rows_of_numbers
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,9 @@ class EpisodeRows:
     """Those that were asked for, as stored, [T, N]."""
 
 
-def read_rows(places: Sequence[EpisodePlace], names: Sequence[str]) -> Iterator[EpisodeRows]:
+def read_episode_rows(
+    places: Sequence[EpisodePlace], names: Sequence[str]
+) -> Iterator[EpisodeRows]:
     """The numbers of episodes, in their order.
 
     Args:
@@ -50,7 +52,7 @@ def read_rows(places: Sequence[EpisodePlace], names: Sequence[str]) -> Iterator[
 def _cut(
     path: Path, table: pa.Table, places: Sequence[EpisodePlace], names: Sequence[str]
 ) -> Iterator[EpisodeRows]:
-    arrays = {name: numbers(table, name, path) for name in [*INDICES, *names]}
+    arrays = {name: rows_of_numbers(table, name, path) for name in [*INDICES, *names]}
     for name in INDICES:
         if arrays[name].shape[1] > 1:
             raise DatasetError(f"{path}: '{name}' has {arrays[name].shape[1]} numbers a row.")

@@ -75,7 +75,7 @@ def texts(table: pa.Table, name: str, path: Path) -> list[str]:
     return column.to_pylist()
 
 
-def numbers(table: pa.Table, name: str, path: Path) -> np.ndarray:
+def rows_of_numbers(table: pa.Table, name: str, path: Path) -> np.ndarray:
     """A column of numbers, or of lists of them, as deep as they are.
 
     Args:

@@ -83,7 +83,7 @@ def check_video(file: Path, clips: Sequence[VideoClip]) -> tuple[int, int]:
         return shown.height, shown.width
 
 
-def identity(file: Path) -> bytes:
+def identity_of_video(file: Path) -> bytes:
     """What tells a video from another: its size, its start and its end.
 
     The index of all pictures' sizes and places is at the start or at the end of a video, so one of

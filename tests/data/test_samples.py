@@ -1,0 +1,73 @@
+"""Which samples a run takes: a pure function of its seed and step."""
+
+import numpy as np
+import pytest
+
+from jaxcam.data.batches import make_dataset
+from jaxcam.data.samples import Layout, Samples
+from jaxcam.errors import DatasetError
+
+
+@pytest.fixture(scope="module")
+def dataset(demos, pictures, scene):
+    return make_dataset(demos, pictures, "eef_delta", scene)
+
+
+def test_index_is_a_function_of_seed_and_step(dataset):
+    later = [dataset.samples.index(0, step, 3, 2) for step in range(6)]
+    for step in (5, 0, 3):
+        for a, b in zip(dataset.samples.index(0, step, 3, 2), later[step], strict=True):
+            np.testing.assert_array_equal(a, b)
+    index = dataset.samples.index
+    others = [np.concatenate([index(s, k, 3, 2)[1] for k in range(6)]) for s in (0, 1)]
+    assert (others[0] != others[1]).any()
+
+
+@pytest.mark.parametrize("batch", [1, 3, 4, 11])
+def test_every_epoch_takes_each_demonstration_once(dataset, batch):
+    order = np.concatenate([dataset.samples.index(0, step, batch, 1)[0] for step in range(44)])
+    epochs = order[: len(order) // 4 * 4].reshape(-1, 4)
+    assert (np.sort(epochs, 1) == np.arange(4)).all()
+    assert len({tuple(e) for e in epochs}) > 5
+    # The batch size only cuts the same sequence elsewhere.
+    np.testing.assert_array_equal(order[:44], _sequence(dataset, 44))
+
+
+def _sequence(dataset, count):
+    return np.concatenate([dataset.samples.index(0, step, 1, 1)[0] for step in range(count)])
+
+
+def test_time_steps_are_inside_and_cover_the_demonstration(dataset):
+    demo, t, _ = (np.concatenate(x) for x in zip(
+        *(dataset.samples.index(0, s, 40, 1) for s in range(60)), strict=True
+    ))  # fmt: skip
+    assert (t >= 0).all()
+    assert (t < dataset.lengths[demo]).all()
+    for i in range(4):
+        assert len(np.unique(t[demo == i])) > 0.95 * dataset.lengths[i]
+
+
+def test_views_of_a_sample_are_distinct_and_from_its_window(dataset):
+    _, _, views = dataset.samples.index(0, 0, 200, 2)
+    assert (views[:, 0] != views[:, 1]).all()
+    assert set(views.ravel()) == {0, 1, 2}
+
+
+def samples(cameras, train):
+    return Samples(Layout(np.arange(10, 10 + len(cameras)), np.array(cameras)), train)
+
+
+def test_validation_shows_each_demonstration_by_its_own_cameras():
+    some = samples([3, 3, 1, 2, 3], train=2)
+    demos, t, cameras = some.validation(views=2, per_demo=4)
+    np.testing.assert_array_equal(demos, np.repeat([2, 3, 4], 4))
+    np.testing.assert_array_equal(cameras, np.repeat([[0, 0], [0, 1], [0, 1]], 4, 0))
+    pictures = some.layout.at(demos[:, None], t[:, None], cameras)
+    np.testing.assert_array_equal(some.layout.owner(pictures), np.stack([demos, demos], -1))
+
+
+def test_demonstrations_that_too_few_cameras_see_are_not_trained_on():
+    some = samples([3, 1, 2, 1], train=3)
+    some.check_views(1)
+    with pytest.raises(DatasetError, match=r"demo_1 .* by 1 of the 2 cameras .*; 1 of 3 demon"):
+        some.check_views(2)

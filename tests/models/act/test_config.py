@@ -1,0 +1,25 @@
+"""What settings of ACT are refused."""
+
+import pytest
+from policy_inputs import (
+    ACTION,
+    CHUNK,
+    PROPRIO,
+    make_stats,
+    tiny,
+)
+
+from jaxcam.errors import ConfigError
+from jaxcam.models import PolicySpec, make_policy
+
+
+def test_what_does_not_go_together_is_refused():
+    config, stats = tiny("laptop", "keypoints"), make_stats()
+    with pytest.raises(ConfigError, match="predicts 4 actions but the data has chunks of 9"):
+        make_policy(config, PolicySpec(ACTION, PROPRIO, 1, 16, 16, 9), stats)
+    with pytest.raises(ConfigError, match="Statistics of proprio"):
+        make_policy(config, PolicySpec(ACTION, 2, 1, 16, 16, CHUNK), stats)
+    with pytest.raises(ConfigError, match="not a multiple of heads"):
+        tiny("paper", "late", width=17)
+    with pytest.raises(ConfigError, match="did you mean 'mlp'"):
+        tiny("laptop", "late", head="mpl")

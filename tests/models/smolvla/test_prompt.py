@@ -1,0 +1,60 @@
+"""Prompts: from words to tokens."""
+
+import pytest
+
+from jaxcam.config.names import TaskName, names_of
+from jaxcam.config.train import TrainConfig
+from jaxcam.errors import ConfigError
+from jaxcam.models.smolvla.config import SmolVlaConfig
+from jaxcam.models.smolvla.prompt import tokenize, with_prompt
+from jaxcam.pipeline import policy_of
+from jaxcam.runs.identity import resolve
+from jaxcam.sim import make_task
+
+
+@pytest.fixture(scope="module")
+def tokenizer(tmp_path_factory):
+    """A tokenizer.json that knows the words of every task."""
+    tokenizers = pytest.importorskip("tokenizers")
+    words = sorted({word for task in names_of(TaskName) for word in make_task(task).prompt.split()})
+    numbers = {word: i for i, word in enumerate(["[UNK]", "\n", *words])}
+    made = tokenizers.Tokenizer(tokenizers.models.WordLevel(numbers, unk_token="[UNK]"))
+    made.pre_tokenizer = tokenizers.pre_tokenizers.Sequence(
+        [
+            tokenizers.pre_tokenizers.Split(" ", "removed"),
+            tokenizers.pre_tokenizers.Split("\n", "isolated"),
+        ]
+    )
+    made.enable_padding(length=20)
+    file = tmp_path_factory.mktemp("tokenizer") / "tokenizer.json"
+    made.save(str(file))
+    return made, str(file)
+
+
+@pytest.mark.parametrize("task", names_of(TaskName))
+def test_training_on_any_task_reads_that_tasks_prompt(tokenizer, task):
+    made, file = tokenizer
+    changes = ("tokens=()", f"tokenizer={file}", f"vocabulary={made.get_vocab_size()}")
+    run = TrainConfig(task=task, policy="smolvla", preset="tiny", model=changes)
+    settings = policy_of(resolve(run, accelerator=False)).config
+    made.no_padding()
+    assert settings.prompt == make_task(task).prompt
+    assert settings.tokens == tuple(made.encode(settings.prompt + "\n").ids)
+    assert 0 not in settings.tokens, "a word is unknown"
+
+
+def test_prompt_of_the_user_counts_more_than_the_tasks(tokenizer):
+    file = tokenizer[1]
+    assert tokenize("Lift the cube", file) == tokenize("Lift the cube\n", file)
+    config = with_prompt(SmolVlaConfig(tokenizer=file, prompt="Lift the cube"), "Move the can")
+    assert config.tokens == tokenize("Lift the cube", file) != tokenize("Move the can", file)
+
+
+def test_what_is_no_tokenizer_is_refused(tokenizer, tmp_path):
+    with pytest.raises(ConfigError, match="is not a tokenizer"):
+        tokenize("Lift", str(tmp_path / "none.json"))
+
+
+def test_known_tokens_need_no_file():
+    config = SmolVlaConfig(tokenizer="gone.json", tokens=(1, 2))
+    assert with_prompt(config, "Lift the cube") is config

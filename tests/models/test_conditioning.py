@@ -1,0 +1,39 @@
+"""How settings name what a policy is told of its cameras."""
+
+import numpy as np
+import pytest
+
+from jaxcam.errors import ConfigError
+from jaxcam.models import ACT_PRESETS
+from jaxcam.models.conditioning import NOMINAL_POSE, VisionConfig, with_conditioning
+
+
+def test_none_keeps_the_network_it_is_compared_with():
+    laptop = ACT_PRESETS["laptop"]
+    twin = with_conditioning(laptop, "none")
+    assert (twin.conditioning, twin.network) == ("none", laptop.network)
+    assert with_conditioning(with_conditioning(laptop, "late"), "none").network == "late"
+    assert with_conditioning(twin, "early").network == "early"
+
+
+def test_nominal_pose_is_a_camera_that_looks_at_the_table():
+    pose = np.array(NOMINAL_POSE)
+    np.testing.assert_allclose(pose[:3, :3].T @ pose[:3, :3], np.eye(3), atol=1e-12)
+    assert np.linalg.det(pose[:3, :3]) == pytest.approx(1)
+    # The table's centre, in the base frame, lies 0.95 m ahead in the middle of the image.
+    centre = np.linalg.inv(pose) @ [0.56, 0.0, 0.8 - 0.912, 1.0]
+    np.testing.assert_allclose(centre, [0, 0, 0.95, 1], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("changes", "hint"),
+    [
+        ({"conditioning": "keypoint"}, "keypoints"),
+        ({"twin_of": "lat"}, "late"),
+        ({"encoder": "resnet"}, "resnet18"),
+        ({"compute_dtype": "bf16"}, "bfloat16"),
+    ],
+)
+def test_unknown_names_are_refused_with_the_nearest(changes, hint):
+    with pytest.raises(ConfigError, match=f"did you mean '{hint}'"):
+        VisionConfig(**changes)

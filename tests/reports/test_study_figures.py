@@ -1,0 +1,26 @@
+"""Figures of many runs show the numbers of their arms."""
+
+from made_runs import BY_FIELD, arms_of, make_studies
+from matplotlib.colors import to_hex
+
+from jaxcam.reports.studies import panels
+from jaxcam.reports.study_figures import COLOURS, bars, curves
+
+
+def test_bars_and_curves_show_the_rates(tmp_path):
+    make_studies(tmp_path)
+    arms = arms_of(tmp_path)
+    (scene,), (cameras,) = (panels(BY_FIELD[name], arms) for name in ("scene", "n"))
+    axes = curves([cameras], "cameras").axes[0]
+    assert axes.get_xscale() == "log"
+    assert [t.get_text() for t in axes.get_xticklabels()] == ["3", "30"]
+    figure = bars([scene], BY_FIELD["scene"].names)
+    drawn = figure.axes[0].patches
+    assert [to_hex(b.get_facecolor()) for b in drawn] == [COLOURS["none"].lower(),
+                                                         COLOURS["late"].lower()] * 2  # fmt: skip
+    assert all(b.get_hatch() for b in drawn)  # none has all rollouts of the protocol
+    assert all(b.get_height() == 0.5 for b in drawn)
+    figure.draw_without_rendering()
+    (legend,) = figure.legends
+    assert figure.bbox.x0 <= legend.get_window_extent().x0
+    assert legend.get_window_extent().x1 <= figure.bbox.x1

@@ -1,0 +1,69 @@
+"""Table I, and gains over the image-only twin."""
+
+import re
+
+import pytest
+from made_runs import arms_of, make_run
+
+from jaxcam.reports import paper
+from jaxcam.reports.tables import gains_table, paper_value, table_one
+from jaxcam.results.differences import paired_difference
+
+
+@pytest.fixture
+def runs(tmp_path):
+    """Image-only and late fusion on Lift, a seed each; a folder of runs."""
+    folder = tmp_path / "runs"
+    for way, rate in (("none", 0.25), ("late", 0.75)):
+        make_run(folder / way, rate=rate, conditioning=way)
+    return folder
+
+
+def test_table_one_has_the_papers_numbers_beside_ours(runs):
+    table = table_one(arms_of(runs))
+    assert list(table.head[2:]) == list(paper.TASKS.values())
+    assert table.rows[0] == ["ACT", "paper", "33.6", "26.7", "10.8", "29.9", "22.9", "28.7"]
+    ours, theirs, conditioned = table.rows[1:4]
+    assert ours[1] == "ours\nlaptop preset"
+    assert re.fullmatch(r"25\.0\n\[\d+\.\d, \d+\.\d\]\nn = 8 of 1500", ours[2])
+    assert ours[3:] == ["–"] * 5
+    assert theirs[:3] == ["ACT\nw. conditioning", "paper", "60.6 (+27.0)"]
+    assert conditioned[1] == "ours\nlate\nlaptop preset"
+    assert conditioned[2].startswith("75.0 (+50.0)\n[")
+
+
+def test_runs_whose_demonstrations_see_all_cameras_are_no_line_of_table_one(runs):
+    make_run(runs / "all", rate=0.5, conditioning="late", n=30, m=0)
+    arms = arms_of(runs)
+    assert len(arms) == 3
+    table = table_one(arms)
+    assert sum("ours" in row[1] for row in table.rows) == 2
+    assert not any(row[2].startswith("50.0") for row in table.rows)
+    (arm,) = [arm for arm in arms if arm.settings["m"] == 0]
+    assert paper_value(arm) is None
+
+
+def test_gains_are_paired(runs):
+    none, late = sorted(arms_of(runs), key=lambda a: a.settings["conditioning"] != "none")
+    (row,) = gains_table([late, none]).rows
+    delta = paired_difference(late.rows, none.rows)
+    assert row[:5] == ["ACT", "Lift", "late", "laptop preset", "+27.0"]
+    assert row[5].startswith(f"{100 * delta.value:+.1f} [")
+    assert row[6:] == [f"= {delta.p_value:.3f}", "8", "8, 8"]
+
+
+def test_arms_are_compared_only_where_nothing_else_differs(tmp_path):
+    make_run(tmp_path / "a", conditioning="none")
+    make_run(tmp_path / "b", conditioning="late", steps=2000)
+    arms = arms_of(tmp_path)
+    assert len(arms) == 2
+    assert gains_table(arms) is None
+    assert {arm.label() for arm in arms} == {"laptop preset", "laptop preset, steps 2000"}
+    assert all("+" not in row[2] for row in table_one(arms).rows if "ours" in row[1])
+
+
+def test_early_fusion_with_a_new_stem_is_compared_with_the_others(tmp_path):
+    weights = {"weights": "w/resnet18.pth"}
+    make_run(tmp_path / "a", conditioning="none", **weights)
+    make_run(tmp_path / "b", conditioning="early", stem="new", **weights)
+    assert len(gains_table(arms_of(tmp_path)).rows) == 1
