@@ -45,6 +45,7 @@ ELSEWHERE = {
     # One recording, one export and back, serve all tests of these.
     "interop/maniskill": "interop/test_maniskill_files",
     "interop/maniskill_actions": "interop/test_maniskill_files",
+    "interop/lerobot/arrow": "interop/lerobot/test_dataset",
     "interop/lerobot/format": "interop/lerobot/test_dataset",
     "interop/lerobot/layout": "interop/lerobot/test_policy",
     "interop/weights": "interop/lerobot/test_policy",
