@@ -1,6 +1,7 @@
-"""Demonstrations in whatever format they come: ours, robomimic's or ManiSkill's."""
+"""Demonstrations in whatever format they come, and which that is."""
 
 from pathlib import Path
+from typing import Literal
 
 from rich.console import Console
 
@@ -9,10 +10,18 @@ from jaxcam.data.demos import REMEDY, Demos, read_demos
 from jaxcam.data.hdf5 import Format, format_of, open_hdf5, whole
 from jaxcam.errors import DatasetError
 from jaxcam.interop import maniskill, robomimic
+from jaxcam.interop.droid.reading import is_droid
+
+FolderFormat = Literal["lerobot", "droid"]
+"""Whose layout a folder of recorded demonstrations has."""
 
 
-def recognise(path: Path) -> Format:
-    """Whose layout a file has; "unknown" too if it cannot be opened: `read` says why."""
+def recognise(path: Path) -> Format | FolderFormat:
+    """Whose layout a file or folder has; "unknown" too if it cannot be opened: `read` says why."""
+    if path.is_dir():
+        if (path / "meta" / "info.json").is_file():
+            return "lerobot"
+        return "droid" if is_droid(path) else "unknown"
     try:
         with open_hdf5(path, remedy=REMEDY) as file, whole(path, REMEDY):
             return format_of(file)
