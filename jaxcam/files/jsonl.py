@@ -29,8 +29,13 @@ def append_jsonl(path: str | Path, *rows: Mapping[str, Any], fsync: bool = False
             os.fsync(file.fileno())
 
 
-def read_jsonl(path: str | Path) -> list[dict[str, Any]]:
-    """Rows of a file of JSON lines; none if it is missing. A torn last line is left out.
+def read_jsonl(path: str | Path, *, may_be_torn: bool = True) -> list[dict[str, Any]]:
+    """Rows of a file of JSON lines; none if it is missing.
+
+    Args:
+        path: File.
+        may_be_torn: Whether a last line without its end is one that a crash left, and is left out;
+            in a file that was written by others it is a row.
 
     Raises:
         DatasetError: A line before the last one is damaged or no object, or the file is none.
@@ -42,9 +47,11 @@ def read_jsonl(path: str | Path) -> list[dict[str, Any]]:
         raise DatasetError(f"{path} is no file.")
     rows = []
     try:
-        whole, _, _ = path.read_bytes().rpartition(b"\n")
+        whole = path.read_bytes()
     except OSError as error:
         raise DatasetError(f"{path} cannot be read: {error.strerror}.") from error
+    if may_be_torn:
+        whole, _, _ = whole.rpartition(b"\n")
     for number, line in enumerate(whole.splitlines(), start=1):
         try:
             row = json.loads(line)

@@ -17,14 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxcam.errors import ConfigError
 from jaxcam.files.video import VideoFile
-
-try:
-    import pyarrow as pa
-    from pyarrow import parquet
-except ModuleNotFoundError as error:
-    raise ConfigError("This needs pyarrow: pip install 'jaxcam[lerobot]'.") from error
+from jaxcam.interop.lerobot.arrow import pa, parquet
 
 VERSION = "v3.0"
 """LeRobot's name of the format."""

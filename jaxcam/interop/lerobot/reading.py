@@ -1,0 +1,279 @@
+"""LeRobot datasets, versions 3.0 and 2.1, as recorded demonstrations.
+
+Read with pyarrow and PyAV, so LeRobot and its PyTorch need not be installed. Nothing is written
+into the folder. Numbers are read at once; of pictures only what tells that all are there.
+"""
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from jaxcam.data.recordings import Calibration, Episode, Recording, Sight
+from jaxcam.errors import DatasetError
+from jaxcam.files.paths import absolute
+from jaxcam.interop.lerobot.recorded import images, videos
+from jaxcam.interop.lerobot.recorded.images import ImageClip, ImageReader
+from jaxcam.interop.lerobot.recorded.meta import (
+    INFO,
+    Info,
+    held_out,
+    read_episodes,
+    read_info,
+    read_tasks,
+)
+from jaxcam.interop.lerobot.recorded.naming import (
+    ACTIONS,
+    STATES,
+    columns_of,
+    constant,
+    number_names,
+    view_names,
+)
+from jaxcam.interop.lerobot.recorded.readers import Readers
+from jaxcam.interop.lerobot.recorded.rows import EpisodeRows, read_rows
+from jaxcam.interop.lerobot.recorded.videos import VideoClip, VideoReader
+from jaxcam.rays.lens import PACKED
+
+MATRICES = {"intrinsics": (3, 3), "base_from_camera": (4, 4), "distortion": (PACKED,)}
+"""Columns `camera.<view>.<name>` of a calibration and their shapes; the last need not be there."""
+TOLERANCE = 0.1
+"""What the time of a picture may be off, in steps."""
+
+Clip = VideoClip | ImageClip
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Which columns are what."""
+
+    state: tuple[str, ...]
+    action: tuple[str, ...]
+    cameras: Mapping[str, Mapping[str, str]]
+    """By view, those of `MATRICES` that it has."""
+
+    @property
+    def all(self) -> list[str]:
+        cameras = [name for columns in self.cameras.values() for name in columns.values()]
+        return list(dict.fromkeys([*self.state, *self.action, *cameras]))
+
+
+def read_lerobot(
+    path: str | Path,
+    *,
+    state: Sequence[str] = (),
+    action: Sequence[str] = (),
+    tolerance: float | None = None,
+) -> Recording:
+    """Reads a LeRobot dataset.
+
+    Cameras whose `camera.<view>.intrinsics` and `camera.<view>.base_from_camera` are among the
+    columns, as `jaxcam.lerobot` writes them, are calibrated; the others are not. Depth is no view.
+
+    The fingerprint is a hash of all numbers, names, instructions and calibrations, and of the files
+    of pictures: their names in the folder, their sizes, and of a table of images all of its
+    content, of a video its first and last 64 KiB (`videos.identity` says why).
+
+    Args:
+        path: The folder, which has `meta/info.json`.
+        state: Features that are the state, one behind the other; `observation.state` when empty.
+        action: Features that are the action; `action` when empty.
+        tolerance: How far the time of a step's picture may be from the step's (s); a tenth of a
+            step when None.
+
+    Returns:
+        The recording. Its episodes' pictures are decoded when they are asked for.
+
+    Raises:
+        DatasetError: It is no such folder, one of another version, or damaged: numbers that are not
+            finite, missing or short videos, codecs that cannot be decoded, steps without a picture.
+            All of this is found at once; single damaged pictures are found as they are decoded.
+        ConfigError: pyarrow is not installed.
+    """
+    root = absolute(path)
+    info, where = read_info(root), str(root / INFO)
+    tasks, places = read_tasks(root, info), read_episodes(root, info)
+    views = view_names(info.features, where)
+    columns = _Columns(
+        columns_of(info.features, state, STATES, where),
+        columns_of(info.features, action, ACTIONS, where),
+        {view: _camera_columns(info, view) for view in views},
+    )
+    allowed = TOLERANCE / info.fps if tolerance is None else tolerance
+    if not 0 < allowed < 0.5 / info.fps:
+        raise DatasetError(
+            f"tolerance is more than 0 and less than half a step ({0.5 / info.fps:.4f} s), got "
+            f"{allowed}."
+        )
+    rows = list(read_rows(places, columns.all))
+    names = {
+        what: number_names(info.features, keys, [rows[0].columns[k].shape[1] for k in keys], where)
+        for what, keys in (("state", columns.state), ("action", columns.action))
+    }
+    clips = [
+        {v: c for v, key in views.items() if (c := _clip(info, episode, v, key, allowed))}
+        for episode in rows
+    ]
+    sizes = _check_pictures(clips)
+    readers = Readers(VideoReader), Readers(ImageReader)
+    episodes = [
+        Episode(
+            name=episode.place.name,
+            state=_joined(episode, columns.state, names["state"]),
+            action=_joined(episode, columns.action, names["action"]),
+            instruction=_instruction(episode, tasks),
+            sights={
+                view: _sight(clip, sizes[clip.file, view], episode, columns.cameras[view], readers)
+                for view, clip in seen_by.items()
+            },
+        )
+        for episode, seen_by in zip(rows, clips, strict=True)
+    ]
+    valid = held_out(root, info, places)
+    recording = Recording(
+        path=root,
+        views=tuple(views),
+        state_names=names["state"],
+        action_names=names["action"],
+        rate=float(info.fps),
+        episodes=episodes,
+        fingerprint="",
+        valid=valid,
+    )
+    return Recording(**vars(recording) | {"fingerprint": _fingerprint(recording, clips)})
+
+
+def _camera_columns(info: Info, view: str) -> dict[str, str]:
+    """The columns of a view's calibration, by what they are; none if it is not whole."""
+    names = {what: f"camera.{view}.{what}" for what in MATRICES}
+    there = {what: name for what, name in names.items() if name in info.features}
+    return there if {"intrinsics", "base_from_camera"} <= there.keys() else {}
+
+
+def _clip(info: Info, rows: EpisodeRows, view: str, key: str, tolerance: float) -> Clip | None:
+    """Where a camera's pictures of an episode are; None where it did not see it."""
+    place = rows.place
+    if info.features[key].dtype == "image":
+        return ImageClip(view, place.table, key, rows.row, place.length, place.name)
+    if key not in place.videos:
+        return None
+    file, start = place.videos[key]
+    return VideoClip(view, file, start + rows.timestamps, tolerance, place.name)
+
+
+def _check_pictures(clips: Sequence[Mapping[str, Clip]]) -> dict[tuple[Path, str], tuple[int, int]]:
+    """Height and width of every file's pictures, by file and view; refuses what cannot be read."""
+    inside: dict[tuple[Path, str], list[Clip]] = {}
+    for clip in (clip for views in clips for clip in views.values()):
+        inside.setdefault((clip.file, clip.view), []).append(clip)
+    sizes = {}
+    for (file, view), of_file in inside.items():
+        first = of_file[0]
+        if isinstance(first, ImageClip):
+            sizes[file, view] = images.check_images(first)
+        else:
+            own = [clip for clip in of_file if isinstance(clip, VideoClip)]
+            sizes[file, view] = videos.check_video(file, own)
+    return sizes
+
+
+def _joined(rows: EpisodeRows, columns: Sequence[str], names: Sequence[str]) -> np.ndarray:
+    """Columns side by side, float32 [T, N]."""
+    with np.errstate(over="ignore"):  # what is too large becomes infinite, and is refused
+        values = np.concatenate([rows.columns[c] for c in columns], 1).astype(np.float32)
+    where = f"{rows.place.table}, {rows.place.name}"
+    if values.shape[1] != len(names):
+        raise DatasetError(
+            f"{where}: {', '.join(columns)} has {values.shape[1]} numbers a step, {len(names)} in "
+            "other files."
+        )
+    if not np.isfinite(values).all():
+        step, i = np.argwhere(~np.isfinite(values))[0]
+        raise DatasetError(
+            f"{where}: '{names[i]}' of {', '.join(columns)} is {values[step, i]} in step {step}. "
+            "Numbers must be finite: leave the episode out, or repair it."
+        )
+    return values
+
+
+def _instruction(rows: EpisodeRows, tasks: Mapping[int, str]) -> str:
+    """What was asked for; of steps with different tasks, one after the other."""
+    if not tasks:
+        return ""
+    if unknown := [t for t in rows.tasks if t not in tasks]:
+        raise DatasetError(
+            f"{rows.place.table}: {rows.place.name} has the task_index {unknown[0]}, which meta's "
+            "tasks lack."
+        )
+    return "; ".join(tasks[t] for t in rows.tasks)
+
+
+def _sight(
+    clip: Clip,
+    size: tuple[int, int],
+    rows: EpisodeRows,
+    columns: Mapping[str, str],
+    readers: tuple[Readers[VideoClip], Readers[ImageClip]],
+) -> Sight:
+    if isinstance(clip, VideoClip):
+        decode = partial(_sized, readers[0], clip, size)
+    else:
+        decode = partial(_sized, readers[1], clip, size)
+    return Sight(*size, decode, _calibration(clip, rows, columns) if columns else None)
+
+
+def _sized(readers: Readers, clip: Clip, size: tuple[int, int]) -> Iterator[np.ndarray]:
+    """A clip's pictures, which all have one size."""
+    for step, shown in enumerate(readers.decode(clip)):
+        if shown.shape[:2] != size:
+            raise DatasetError(
+                f"{clip.about}: the picture of step {step} has {shown.shape[1]}x{shown.shape[0]} "
+                f"pixels, others of the file {size[1]}x{size[0]}."
+            )
+        yield shown
+
+
+def _calibration(clip: Clip, rows: EpisodeRows, columns: Mapping[str, str]) -> Calibration:
+    """What the columns of a camera say; what stays the same through an episode is kept once."""
+    values = {}
+    for what, name in columns.items():
+        shape, column = MATRICES[what], rows.columns[name].astype(np.float64)
+        if column.shape[1] != np.prod(shape) or not np.isfinite(column).all():
+            raise DatasetError(
+                f"{rows.place.table}, {rows.place.name}: '{name}' are {list(shape)} finite numbers "
+                f"a step, got {column[0]}."
+            )
+        values[what] = constant(column.reshape(-1, *shape))
+    return Calibration(
+        K=values["intrinsics"],
+        base_from_camera=values["base_from_camera"],
+        distortion=constant(values.get("distortion", np.zeros((1, PACKED)))),
+        source=f"the columns camera.{clip.view}.*",
+    )
+
+
+def _fingerprint(recording: Recording, clips: Sequence[Mapping[str, Clip]]) -> str:
+    """16 hex digits for all that training sees, see `read_lerobot`."""
+    digest, known = hashlib.sha256(), {}
+
+    def add(*values: object) -> None:
+        for value in values:
+            data = value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode()
+            digest.update(len(data).to_bytes(8, "little") + data)
+
+    add(recording.views, recording.state_names, recording.action_names)
+    add(recording.rate, recording.valid)
+    for episode, by_view in zip(recording.episodes, clips, strict=True):
+        add(episode.instruction, episode.state, episode.action)
+        for view, clip in by_view.items():
+            file, camera = clip.file, episode.sights[view].calibration
+            if file not in known:
+                known[file] = (images if isinstance(clip, ImageClip) else videos).identity(file)
+            place = clip.first if isinstance(clip, ImageClip) else clip.times
+            add(view, str(file.relative_to(recording.path)), known[file], place)
+            if camera is not None:
+                add(camera.K, camera.base_from_camera, camera.distortion)
+    return digest.hexdigest()[:16]
