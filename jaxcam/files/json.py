@@ -25,14 +25,14 @@ def read_json(path: Path) -> Any:
         DatasetError: There is none that can be read, it is not JSON, or a name is in an object
             twice, of which JSON's readers would keep the last.
     """
-    if not path.exists():
-        raise DatasetError(f"{path}: no such file.")
     try:
         if path.stat().st_size > LARGEST:
             raise DatasetError(f"{path}: more than {LARGEST / 1e6:.0f} MB of JSON are not read.")
         return json.loads(read_text(path), object_pairs_hook=_once)
     except DatasetError:
         raise
+    except FileNotFoundError as error:
+        raise DatasetError(f"{path}: no such file.") from error
     except OSError as error:
         raise DatasetError(f"{path} cannot be read: {error.strerror}.") from error
     except _TwiceError as error:

@@ -25,7 +25,7 @@ from jaxcam.rays.lens import PACKED
 NOTES = "meta/jaxcam.json"
 """A dataset's own file of calibrations, in its folder."""
 IMAGES = "observation.images."
-"""What LeRobot's names of views begin with, which files of calibrations may leave out."""
+"""What LeRobot's features of views begin with, which files of calibrations may have too."""
 PAGE = "docs/calibrated-datasets.md"
 
 
@@ -125,7 +125,7 @@ def require_calibrated(recording: Recording, conditioning: Conditioning) -> None
         f"{recording.path}: cameras without a calibration, which --conditioning {conditioning} "
         f"needs: {'; '.join(words for words, _ in missing.values())}. The shortest way: measure "
         f"them, write cameras.json, and give --cameras cameras.json: "
-        f'{{"format": 1, "views": {{"{view.removeprefix(IMAGES)}": {{"K": {{"fx": …, "fy": …, '
+        f'{{"format": 1, "views": {{"{view}": {{"K": {{"fx": …, "fy": …, '
         f'"cx": …, "cy": …}}, "size": [{sight.width}, {sight.height}]{pose}}}}}}} ({PAGE} has the '
         "conventions). Or train without: --conditioning none."
     )
@@ -142,7 +142,7 @@ def _calibrated(
     where = f"episode '{episode.name}', view '{view}'"
     result = sight.calibration
     if result is None:
-        names, views = (episode.name, str(number)), (view, view.removeprefix(IMAGES))
+        names, views = (episode.name, str(number)), (view, IMAGES + view)
         entries = [(str(file.path), file.of(names, views)) for file in files]
         optics, pose = _optics(sight, entries, where), _pose(sight, entries, names)
         if optics is None or pose is None:
@@ -199,11 +199,11 @@ def _check(calibration: Calibration, sight: Sight, length: int, where: str) -> N
 
 def _check_names(file: CamerasFile, recording: Recording) -> None:
     """Refuses names of views and episodes that a recording does not have."""
-    known = {view.removeprefix(IMAGES) for view in recording.views} | set(recording.views)
-    shown = sorted(view.removeprefix(IMAGES) for view in recording.views)
     for view in [*file.views, *(view for views in file.episodes.values() for view in views)]:
-        if view not in known:
-            raise ConfigError(f"{file.path}: unknown view {view!r:.80}{closest(view, shown)}.")
+        if view.removeprefix(IMAGES) not in recording.views:
+            raise ConfigError(
+                f"{file.path}: unknown view {view!r:.80}{closest(view, recording.views)}."
+            )
     numbers = {str(number) for number in range(len(recording.episodes))}
     names = {episode.name for episode in recording.episodes}
     for episode in file.episodes:
@@ -220,7 +220,7 @@ def _unused(file: CamerasFile, recording: Recording) -> list[str]:
     for view in recording.views:
         cameras = [e.sights[view].calibration for e in recording.episodes if view in e.sights]
         used = {c.source for c in cameras if c}
-        is_in = view in file.views or view.removeprefix(IMAGES) in file.views
+        is_in = view in file.views or IMAGES + view in file.views
         if is_in and used and not any(str(file.path) in source for source in used):
             first = "; ".join(sorted(used)) or "its columns"
             lines.append(f"{file.path} is not used for view {view}: {first} comes first.")

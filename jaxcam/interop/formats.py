@@ -1,5 +1,6 @@
 """Demonstrations in whatever format they come, and which that is."""
 
+import os
 from pathlib import Path
 from typing import Literal
 
@@ -18,7 +19,7 @@ FolderFormat = Literal["lerobot", "droid"]
 
 def recognise(path: Path) -> Format | FolderFormat:
     """Whose layout a file or folder has; "unknown" too if it cannot be opened: `read` says why."""
-    if path.is_dir():
+    if os.path.isdir(path):  # that of Path raises for names that are too long
         if (path / "meta" / "info.json").is_file():
             return "lerobot"
         return "droid" if is_droid(path) else "unknown"

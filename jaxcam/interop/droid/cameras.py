@@ -50,9 +50,12 @@ class OpenEpisode:
         Raises:
             DatasetError: It is too short, or damaged.
         """
-        if group not in self.observation or name not in self.observation[group]:
+        if group not in self.observation:
             return None
-        array = numbers(group_at(self.observation, group), name)
+        arrays = group_at(self.observation, group)
+        if name not in arrays:
+            return None
+        array = numbers(arrays, name)
         if array.ndim < 2 or len(array) <= self.steps.max():
             raise DatasetError(
                 f"{self.file.filename}: observation/{group}/{name}: shape {list(array.shape)}; "
@@ -71,9 +74,10 @@ def roles_of(metadata: Metadata, file: h5py.File) -> dict[str, str]:
     if any(serials.values()):
         return {serial: role for role, serial in serials.items() if serial}
     types = group_at(group_at(file, "observation"), "camera_type")
-    hand = {s for s in types if numbers(types, s).reshape(-1)[:1].tolist() == [HAND]}
-    others = zip(sorted(set(types) - hand), ("ext1", "ext2"), strict=False)
-    return dict.fromkeys(sorted(hand)[:1], "wrist") | dict(others)
+    names = sorted(str(serial) for serial in types)
+    hand = [s for s in names if numbers(types, s).reshape(-1)[:1].tolist() == [HAND]]
+    others = zip([s for s in names if s not in hand], ("ext1", "ext2"), strict=False)
+    return dict.fromkeys(hand[:1], "wrist") | dict(others)
 
 
 def placement(episode: OpenEpisode, serial: str, role: str, video: Video) -> Placement | None:

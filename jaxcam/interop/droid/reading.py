@@ -210,7 +210,7 @@ def _steps(file: h5py.File, length: int, videos: dict[str, Video]) -> np.ndarray
         ("timestamp", "skip_action", 1),
         ("controller_info", "movement_enabled", 0),
     ):
-        if group in observation and name in observation[group]:
+        if group in observation and name in group_at(observation, group):
             flags = numbers(group_at(observation, group), name).reshape(-1)
             if len(flags) == length:
                 moves = flags != skipped

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import av
 import numpy as np
+from av.error import FFmpegError
 
 from jaxcam.data.hdf5 import require_file
 from jaxcam.errors import DatasetError
@@ -47,7 +48,7 @@ def open_video(path: Path) -> Video:
             stream = container.streams.video[0]
             height, width, length = stream.height, stream.width, stream.frames
             end = max((entry.pos + entry.size for entry in stream.index_entries), default=0)
-    except (av.FFmpegError, IndexError, AttributeError) as error:
+    except (FFmpegError, IndexError, AttributeError) as error:
         raise DatasetError(
             f"{path}: no MP4 with a video that can be decoded ({size} bytes): "
             f"{getattr(error, 'strerror', error)}. Copy it again."
@@ -84,7 +85,7 @@ def decode(video: Video, steps: np.ndarray, where: str) -> Iterator[np.ndarray]:
                 count += 1
                 if count > last:
                     return
-    except (av.FFmpegError, IndexError) as error:
+    except (FFmpegError, IndexError) as error:
         raise DatasetError(
             f"{video.path}, {where}: cannot be decoded after {count} pictures: "
             f"{getattr(error, 'strerror', error)}. Copy it again."

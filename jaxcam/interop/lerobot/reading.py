@@ -12,9 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxcam.data.recordings import Calibration, Episode, Recording, Sight
+from jaxcam.data.recordings import Calibration, Episode, Placement, Recording, Sight
 from jaxcam.errors import DatasetError
 from jaxcam.files.paths import absolute
+from jaxcam.interop.cameras import six_numbers
 from jaxcam.interop.lerobot.recorded import images, videos
 from jaxcam.interop.lerobot.recorded.images import ImageClip, ImageReader
 from jaxcam.interop.lerobot.recorded.meta import (
@@ -54,10 +55,13 @@ class _Columns:
     action: tuple[str, ...]
     cameras: Mapping[str, Mapping[str, str]]
     """By view, those of `MATRICES` that it has."""
+    extrinsics: Mapping[str, str]
+    """By view, that of DROID's six numbers, where there is one."""
 
     @property
     def all(self) -> list[str]:
         cameras = [name for columns in self.cameras.values() for name in columns.values()]
+        cameras += self.extrinsics.values()
         return list(dict.fromkeys([*self.state, *self.action, *cameras]))
 
 
@@ -71,7 +75,8 @@ def read_lerobot(
     """Reads a LeRobot dataset.
 
     Cameras whose `camera.<view>.intrinsics` and `camera.<view>.base_from_camera` are among the
-    columns, as `jaxcam.lerobot` writes them, are calibrated; the others are not. Depth is no view.
+    columns, as `jaxcam.lerobot` writes them, are calibrated; the others are not, but for those with
+    DROID's `camera_extrinsics.<view>` it is known where they stood. Depth is no view.
 
     The fingerprint is a hash of all numbers, names, instructions and calibrations, and of the files
     of pictures: their names in the folder, their sizes, and of a table of images all of its
@@ -101,6 +106,7 @@ def read_lerobot(
         columns_of(info.features, state, STATES, where),
         columns_of(info.features, action, ACTIONS, where),
         {view: _camera_columns(info, view) for view in views},
+        {v: c for v in views if (c := six_numbers.COLUMN.format(view=v)) in info.features},
     )
     allowed = TOLERANCE / info.fps if tolerance is None else tolerance
     if not 0 < allowed < 0.5 / info.fps:
@@ -126,7 +132,7 @@ def read_lerobot(
             action=_joined(episode, columns.action, names["action"]),
             instruction=_instruction(episode, tasks),
             sights={
-                view: _sight(clip, sizes[clip.file, view], episode, columns.cameras[view], readers)
+                view: _sight(clip, sizes[clip.file, view], episode, columns, readers)
                 for view, clip in seen_by.items()
             },
         )
@@ -215,14 +221,25 @@ def _sight(
     clip: Clip,
     size: tuple[int, int],
     rows: EpisodeRows,
-    columns: Mapping[str, str],
+    columns: _Columns,
     readers: tuple[Readers[VideoClip], Readers[ImageClip]],
 ) -> Sight:
     if isinstance(clip, VideoClip):
         decode = partial(_sized, readers[0], clip, size)
     else:
         decode = partial(_sized, readers[1], clip, size)
-    return Sight(*size, decode, _calibration(clip, rows, columns) if columns else None)
+    camera = columns.cameras[clip.view]
+    calibration = _calibration(clip, rows, camera) if camera else None
+    return Sight(*size, decode, calibration, _placement(rows, clip.view, columns.extrinsics))
+
+
+def _placement(rows: EpisodeRows, view: str, extrinsics: Mapping[str, str]) -> Placement | None:
+    """What the column of DROID's six numbers says; they were often never filled in."""
+    if view not in extrinsics:
+        return None
+    name = extrinsics[view]
+    where = f"{rows.place.table}, {rows.place.name}: '{name}'"
+    return six_numbers.placement_of(rows.columns[name], where, f"the column {name}")
 
 
 def _sized(readers: Readers, clip: Clip, size: tuple[int, int]) -> Iterator[np.ndarray]:
