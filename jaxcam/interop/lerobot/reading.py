@@ -100,7 +100,6 @@ def read_lerobot(
     """
     root = absolute(path)
     info, where = read_info(root), str(root / INFO)
-    tasks, places = read_tasks(root, info), read_episodes(root, info)
     views = view_names(info.features, where)
     columns = _Columns(
         columns_of(info.features, state, STATES, where),
@@ -114,6 +113,7 @@ def read_lerobot(
             f"tolerance is more than 0 and less than half a step ({0.5 / info.fps:.4f} s), got "
             f"{allowed}."
         )
+    tasks, places = read_tasks(root, info), read_episodes(root, info)
     rows = list(read_rows(places, columns.all))
     names = {
         what: number_names(info.features, keys, [rows[0].columns[k].shape[1] for k in keys], where)

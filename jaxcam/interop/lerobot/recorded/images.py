@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxcam.errors import DatasetError
 from jaxcam.interop.lerobot.arrow import pa
-from jaxcam.interop.lerobot.recorded.tables import open_table
+from jaxcam.interop.lerobot.recorded.tables import one_line, open_table
 
 _BATCH = 16
 """Rows that are read at a time."""
@@ -100,7 +100,7 @@ class ImageReader:
         try:
             content = next(self._rows, None)
         except (OSError, pa.ArrowException) as error:
-            raise DatasetError(f"{clip.about}: the table is damaged: {error}.") from error
+            raise DatasetError(f"{clip.about}: the table is damaged: {one_line(error)}.") from error
         self._next += 1
         return content
 

@@ -43,15 +43,14 @@ def read_rows(places: Sequence[EpisodePlace], names: Sequence[str]) -> Iterator[
     for place in places:
         by_file.setdefault(place.table, []).append(place)
     for path, inside in by_file.items():
-        # names of columns and of LeRobot's own may be the same: an index can be asked for
-        table = read_table(path, list(dict.fromkeys([*INDICES, *names])))
+        table = read_table(path, [*INDICES, *names])
         yield from _cut(path, table, inside, names)
 
 
 def _cut(
     path: Path, table: pa.Table, places: Sequence[EpisodePlace], names: Sequence[str]
 ) -> Iterator[EpisodeRows]:
-    arrays = {name: numbers(table, name, path) for name in {*INDICES, *names}}
+    arrays = {name: numbers(table, name, path) for name in [*INDICES, *names]}
     for name in INDICES:
         if arrays[name].shape[1] > 1:
             raise DatasetError(f"{path}: '{name}' has {arrays[name].shape[1]} numbers a row.")

@@ -5,9 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxcam.config.fields import short
 from jaxcam.errors import DatasetError
 from jaxcam.interop.lerobot.arrow import compute, pa, parquet
+
+_LISTED = 12
+"""Columns that a message lists."""
 
 
 def open_table(path: Path) -> parquet.ParquetFile:
@@ -22,7 +24,7 @@ def open_table(path: Path) -> parquet.ParquetFile:
         # without pre_buffer, a column's pieces are not all held until they are asked for
         return parquet.ParquetFile(path, pre_buffer=False, buffer_size=2**20)
     except (OSError, pa.ArrowException) as error:
-        raise DatasetError(f"{path} is no whole table: {error}.") from error
+        raise DatasetError(f"{path} is no whole table: {one_line(error)}.") from error
 
 
 def read_table(path: Path, names: Sequence[str] | None = None) -> pa.Table:
@@ -38,11 +40,11 @@ def read_table(path: Path, names: Sequence[str] | None = None) -> pa.Table:
     with open_table(path) as file:
         there = file.schema_arrow.names
         if missing := [name for name in names or () if name not in there]:
-            raise DatasetError(f"{path} has no column '{missing[0]}'. It has {', '.join(there)}.")
+            raise DatasetError(_no_column(path, missing[0], there))
         try:
             table = file.read(columns=list(names) if names else None)
         except (OSError, pa.ArrowException) as error:
-            raise DatasetError(f"{path} is damaged: {error}.") from error
+            raise DatasetError(f"{path} is damaged: {one_line(error)}.") from error
     return table.select(names) if names else table
 
 
@@ -92,10 +94,20 @@ def numbers(table: pa.Table, name: str, path: Path) -> np.ndarray:
     return np.concatenate(pieces) if pieces else np.zeros((0, 0))
 
 
+def one_line(error: Exception) -> str:
+    """What an error of Arrow's says, without its line ends."""
+    return " ".join(str(error).split()).rstrip(".")
+
+
+def _no_column(path: Path, name: str, there: Sequence[str]) -> str:
+    """The message for a column that a table lacks; tables of episodes have hundreds."""
+    others = f" and {len(there) - _LISTED} others" if len(there) > _LISTED else ""
+    return f"{path} has no column '{name}'. It has {', '.join(there[:_LISTED])}{others}."
+
+
 def _column(table: pa.Table, name: str, path: Path) -> pa.ChunkedArray:
     if name not in table.column_names:
-        there = ", ".join(table.column_names)
-        raise DatasetError(f"{path} has no column '{name}'. It has {there}.")
+        raise DatasetError(_no_column(path, name, table.column_names))
     return table.column(name)
 
 
@@ -117,7 +129,7 @@ def _flat(array: pa.Array, what: str) -> np.ndarray:
         array = array.flatten()
     is_number = pa.types.is_integer(array.type) or pa.types.is_floating(array.type)
     if not is_number and not pa.types.is_boolean(array.type):
-        raise DatasetError(f"{what} are no numbers but {short(str(array.type))}.")
+        raise DatasetError(f"{what} are no numbers but {array.type}.")
     return array.to_numpy(zero_copy_only=False).reshape(rows, -1)
 
 

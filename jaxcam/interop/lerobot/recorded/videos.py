@@ -39,9 +39,14 @@ class VideoClip:
     """Its name, for messages."""
 
     @property
+    def what(self) -> str:
+        """For messages that name the file."""
+        return f"{self.episode} of view '{self.view}'"
+
+    @property
     def about(self) -> str:
-        """For messages."""
-        return f"{self.file}, {self.episode} of view '{self.view}'"
+        """For other messages."""
+        return f"{self.file}, {self.what}"
 
 
 def check_video(file: Path, clips: Sequence[VideoClip]) -> tuple[int, int]:
@@ -60,7 +65,7 @@ def check_video(file: Path, clips: Sequence[VideoClip]) -> tuple[int, int]:
         DatasetError: It is missing or cut short, its codec cannot be decoded, or a picture is
             missing at the time of a step.
     """
-    first = clips[0].about
+    first = clips[0].what
     container, stream = _open(file, first)
     with container:
         _check_whole(file, stream, clips)
@@ -104,7 +109,7 @@ class VideoReader:
 
     def __init__(self, file: Path) -> None:
         self.file = file
-        self._container, self._stream = _open(file, str(file))
+        self._container, self._stream = _open(file, "reading on")
         self._stream.thread_type = "AUTO"
         self._base = float(self._stream.time_base or 1)
         self._frames: Iterator[VideoFrame] = iter(())
@@ -121,7 +126,7 @@ class VideoReader:
         Raises:
             DatasetError: They cannot be decoded, or one is missing at the time of a step.
         """
-        with _naming(self.file, clip.about):
+        with _naming(self.file, clip.what):
             if not self._is_just_before(clip):
                 self._seek(clip)
             for step, time in enumerate(clip.times):
@@ -163,7 +168,7 @@ class VideoReader:
         the first key that is found can be too late.
         """
         for back in _STEPS_BACK:
-            target = max(0.0, clip.times[0] - back)
+            target = max(0.0, clip.times[0] + clip.tolerance - back)
             self._container.seek(int(target / self._base), stream=self._stream, backward=True)
             self._frames = self._container.decode(self._stream)
             self._advance()
@@ -212,7 +217,7 @@ def _check_whole(file: Path, stream: VideoStream, clips: Sequence[VideoClip]) ->
         lost = next((c for c in clips if c.times[-1] >= min(cut)), clips[-1])
         raise DatasetError(
             f"{file} is cut short: of its {len(stream.index_entries)} pictures the last {len(cut)} "
-            f"are missing, first those of {lost.episode} of view '{lost.view}'. Copy it again."
+            f"are missing, first those of {lost.what}. Copy it again."
         )
 
 
