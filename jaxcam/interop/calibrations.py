@@ -199,6 +199,11 @@ def _check(calibration: Calibration, sight: Sight, length: int, where: str) -> N
 
 def _check_names(file: CamerasFile, recording: Recording) -> None:
     """Refuses names of views and episodes that a recording does not have."""
+    for entries in (file.views, *file.episodes.values()):
+        if twice := [view for view in entries if IMAGES + view in entries]:
+            raise ConfigError(
+                f"{file.path}: {twice[0]!r:.80} and {IMAGES + twice[0]!r:.80} are one."
+            )
     for view in [*file.views, *(view for views in file.episodes.values() for view in views)]:
         if view.removeprefix(IMAGES) not in recording.views:
             raise ConfigError(

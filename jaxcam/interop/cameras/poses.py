@@ -4,6 +4,7 @@ import zipfile
 import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -82,15 +83,19 @@ class PoseFile:
         return array
 
     def _npz(self, episode: Iterable[str]) -> np.ndarray | None:
-        with zipfile.ZipFile(self.path) as packed:
-            sizes = {entry.filename: entry.file_size for entry in packed.infolist()}
-            name = next((n for n in (f"{e}.npy" for e in episode) if n in sizes), None)
-            if name is None:
-                return None
-            if sizes[name] > LARGEST_ARRAY:
-                raise ValueError(f"at most {LARGEST_ARRAY / 1e6:.0f} MB of one array are read")
-            with packed.open(name) as file:
-                return np.lib.format.read_array(file, allow_pickle=False)
+        packed = self._packed
+        name = next((n for n in (f"{e}.npy" for e in episode) if n in packed.NameToInfo), None)
+        if name is None:
+            return None
+        if packed.getinfo(name).file_size > LARGEST_ARRAY:
+            raise ValueError(f"at most {LARGEST_ARRAY / 1e6:.0f} MB of one array are read")
+        with packed.open(name) as file:
+            return np.lib.format.read_array(file, allow_pickle=False)
+
+    @cached_property
+    def _packed(self) -> zipfile.ZipFile:
+        """The .npz, open: its list of arrays is as long as there are episodes."""
+        return zipfile.ZipFile(self.path)
 
 
 def place_of(value: Any, where: str, folder: Path) -> np.ndarray | PoseFile:

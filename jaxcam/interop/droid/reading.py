@@ -85,7 +85,8 @@ def read_droid(
     seal = hashlib.sha256(actions.encode())
     for folder in (folder for folder, files in _walk(path) if TRAJECTORY in files):
         metadata = read_metadata(folder)
-        if metadata.success is False or (metadata.success is None and "failure" in folder.parts):
+        outcome = folder.relative_to(path).parts
+        if metadata.success is False or (metadata.success is None and "failure" in outcome):
             failures += 1
             continue
         videos = _videos(folder)
@@ -164,7 +165,7 @@ def _episode(
         }
     state, action = state[steps], action[steps]
     instruction = instruction_of(metadata, annotations)
-    pictures = [(roles[serial], video.digest) for serial, video in used.items()]
+    pictures = [(roles[serial], video.identity) for serial, video in used.items()]
     seal.update(repr((metadata.uuid, instruction, steps.tolist(), pictures)).encode())
     seal.update(state.tobytes() + action.tobytes())
     return Episode(metadata.uuid, state, action, instruction, sights)

@@ -1,6 +1,5 @@
 """DROID's videos: one MP4 a camera, whose n-th picture is of the n-th step."""
 
-import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +10,7 @@ from av.error import FFmpegError
 
 from jaxcam.data.hdf5 import require_file
 from jaxcam.errors import DatasetError
-
-ENDS = 1 << 16
-"""Bytes at either end of a file that its digest is of."""
+from jaxcam.interop.lerobot.recorded.videos import identity
 
 
 @dataclass(frozen=True)
@@ -28,8 +25,8 @@ class Video:
     """Columns of a picture."""
     length: int | None
     """Pictures, by what the file says; None where it does not."""
-    digest: str
-    """Of the file's size and both its ends, in hex."""
+    identity: bytes
+    """What tells it from another."""
 
 
 def open_video(path: Path) -> Video:
@@ -57,11 +54,7 @@ def open_video(path: Path) -> Video:
         raise DatasetError(
             f"{path}: truncated: {size} bytes, expected {end} at least. Copy it again."
         )
-    with path.open("rb") as file:
-        seal = hashlib.sha256(f"{size} ".encode() + file.read(ENDS))
-        file.seek(max(0, size - ENDS))
-        seal.update(file.read(ENDS))
-    return Video(path, height, width, length or None, seal.hexdigest())
+    return Video(path, height, width, length or None, identity(path))
 
 
 def decode(video: Video, steps: np.ndarray, where: str) -> Iterator[np.ndarray]:

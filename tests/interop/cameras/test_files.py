@@ -1,6 +1,7 @@
 """The schema of `cameras.json` and its reader agree."""
 
 import json
+import re
 from dataclasses import fields
 
 import numpy as np
@@ -80,3 +81,19 @@ def test_the_schema_accepts_and_refuses_the_same():
     schema.check_schema(SCHEMA)
     assert [schema.is_valid(content) for content in GOOD] == [True] * len(GOOD)
     assert [schema.is_valid(content) for content in BAD] == [False] * len(BAD)
+
+
+def test_the_examples_of_the_page_are_read(tmp_path):
+    page = (REPO / "docs/calibrated-datasets.md").read_text("utf-8")
+    (example,) = re.findall(r"```json\n(.*?)```", page, re.DOTALL)
+    (snippet,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    names = {}
+    exec(compile(snippet, "page", "exec"), names)
+    for text in (example, names["text"]):
+        (tmp_path / "cameras.json").write_text(text)
+        file = read_cameras(tmp_path / "cameras.json")
+        front = file.views["front"]
+        assert front.optics.K[0, 2] == 320.9
+        assert front.pose.of(()).shape == (4, 4)
+    np.testing.assert_allclose(front.pose.of(())[:3, 3], [0, 0, 1.2])
+    assert accepts(tmp_path / "cameras.json", json.loads(example))
