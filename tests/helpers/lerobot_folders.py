@@ -198,6 +198,8 @@ def _write_meta(root, version, dtype, files, keys, start):
         "total_episodes": len(LENGTHS),
         "total_frames": sum(LENGTHS),
         "total_tasks": len(TASKS),
+        "total_videos": len(keys) * len(LENGTHS),
+        "total_chunks": 1,
         "chunks_size": 1000,
         "fps": RATE,
         "splits": {"train": f"0:{len(LENGTHS)}"},

@@ -23,6 +23,7 @@ from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.interop.lerobot import format as lerobot_format
 from jaxcam.interop.lerobot.dataset import export_dataset
 from jaxcam.interop.lerobot.format import Writer, column_of, feature, stats_of, video_feature
+from jaxcam.interop.lerobot.reading import read_lerobot
 
 PIXELS = 24
 SCALARS = {"timestamp", "frame_index", "episode_index", "index", "task_index"}
@@ -281,3 +282,22 @@ def test_missing_pyarrow_is_told():
     assert shown.returncode == 2
     assert "pip install 'jaxcam[lerobot]'" in shown.stderr
     assert "Traceback" not in shown.stderr
+
+
+def test_what_is_exported_is_read_back(folder, data):
+    recording = read_lerobot(folder)
+    assert recording.action_names == ("x", "y", "z", "rx", "ry", "rz", "gripper")
+    assert len(recording.episodes) == data.train
+    intrinsics = np.broadcast_to(data.K, (len(data.base_from_camera), 3, 3)).astype(np.float32)
+    for e, episode in enumerate(recording.episodes):
+        t = np.arange(data.lengths[e])
+        np.testing.assert_array_equal(episode.state, data.proprio[e, t])
+        np.testing.assert_array_equal(episode.action, data.actions[e, t])
+        for v, camera in enumerate(data.windows[e]):
+            sight = episode.sights[f"view_{v}"]
+            pose = sight.calibration.base_from_camera
+            np.testing.assert_array_equal(pose, data.base_from_camera[camera])
+            np.testing.assert_array_equal(sight.calibration.K, intrinsics[camera])
+            drawn = data.pictures.rgb[data.pictures.layout.at(np.array(e), t, np.array(v))]
+            error = np.mean((np.stack(list(sight.decode())).astype(float) - drawn) ** 2)
+            assert 10 * np.log10(255**2 / error) > 28

@@ -31,7 +31,8 @@ from lerobot_folders import (
 from pyarrow import parquet
 from rights import no_rights
 
-from jaxcam.errors import DatasetError
+from jaxcam.errors import ConfigError, DatasetError
+from jaxcam.files.video import write_video
 from jaxcam.interop.lerobot.format import Writer, feature
 from jaxcam.interop.lerobot.reading import read_lerobot
 
@@ -205,6 +206,17 @@ def test_written_and_read_are_inverse(tmp_path):
         assert psnr(shown(episode), pictures) > 35
 
 
+def test_colours_of_a_video_that_says_how_they_are_coded(tmp_path):
+    """BT.709 read as BT.601 would be up to 23 levels off, as LeRobot's with PyAV 15 are."""
+    colours = [(255, 0, 0), (0, 255, 0), (0, 0, 255), (200, 120, 40)]
+    bars = np.repeat(np.array([colours], np.uint8), 16, axis=1).repeat(HEIGHT, axis=0)
+    root = tmp_path / "x"
+    write_folder(root, "v2.1", keys=(TOP,))
+    write_video(video_file(root), np.stack([bars] * LENGTHS[0]), RATE, crf=5)
+    middle = shown(read_lerobot(root).episodes[0])[3, HEIGHT // 2, 8::16]
+    np.testing.assert_allclose(middle.astype(int), colours, atol=3)
+
+
 @pytest.mark.parametrize(
     ("names", "wanted"),
     [
@@ -345,6 +357,7 @@ def test_json_that_is_none(copied, text, words):
         ({"features": {"action": 3}}, "feature 'action' is a JSON int, not an object"),
         ({"features": {"action": {"shape": [2]}}}, "feature 'action' has no 'dtype'"),
         ({"splits": ["train"]}, "splits must be dict"),
+        ({"chunks_size": 2.5}, "chunks_size must be int"),
         ({"data_path": "../{chunk_index}.parquet"}, "leads out of the folder"),
         ({"data_path": "/etc/{chunk_index}"}, "leads out of the folder"),
         ({"video_path": "{video_key}/../../../x.mp4"}, "leads out of the folder"),
@@ -380,6 +393,28 @@ def test_names_that_clash(copied):
     refused(root, "action has two numbers called 'x'")
     edit_feature(root, "action", names=["x", "y", "z"])
     refused(root, "'action' has 2 numbers and 3 names")
+    edit_feature(root, "action", shape=[3])
+    refused(root, r"'action' is said to be \[3\], and its rows have 2 numbers")
+    deep = ["x"]
+    for _ in range(300):
+        deep = [deep]
+    edit_feature(root, "action", shape=[2], names=deep)
+    refused(root, "names in lists in lists")
+    edit_feature(root, "observation.images.a/b", dtype="video", shape=[48, 64, 3])
+    refused(root, "has a name that is a path")
+
+
+def test_columns_that_clash(copied):
+    root = copied()
+    table = parquet.read_table(data_file(root))
+    parquet.write_table(table.append_column("action", table.column("action")), data_file(root))
+    refused(root, "has two columns 'action'")
+
+
+def test_indices_that_disagree_with_lengths(copied):
+    root = copied()
+    edit_table(root / EPISODES, dataset_to_index=[6, 11, 19])
+    refused(root, "episode 1 has 4 steps, and the indices 6 to 11")
 
 
 def test_states_that_are_not_there(copied):
@@ -493,7 +528,9 @@ def test_times_that_do_not_fit(copied):
     words = r"episode 0 of view 'top': no picture for step 1 at 0\.0667 s; the nearest is 0\.0167 s"
     refused(root, words)
     assert shown(read_lerobot(root, tolerance=0.02).episodes[0]).shape[0] == LENGTHS[0]
-    refused(root, "tolerance is more than 0 and less than half a step", tolerance=0.025)
+    for tolerance in (0.025, 0.0, float("nan")):
+        with pytest.raises(ConfigError, match="tolerance is more than 0 and less than half a step"):
+            read_lerobot(root, tolerance=tolerance)
 
 
 def test_too_few_pictures(copied):

@@ -1,1 +1,1 @@
-"""LeRobot: its dataset format written, its policies read and written."""
+"""LeRobot: its datasets and its policies, read and written."""

@@ -11,9 +11,11 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from rich.console import Console
 
+from jaxcam.console.progress import progress
 from jaxcam.data.recordings import Calibration, Episode, Placement, Recording, Sight
-from jaxcam.errors import DatasetError
+from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.files.paths import absolute
 from jaxcam.interop.cameras import six_numbers
 from jaxcam.interop.lerobot.recorded import images, videos
@@ -71,6 +73,7 @@ def read_lerobot(
     state: Sequence[str] = (),
     action: Sequence[str] = (),
     tolerance: float | None = None,
+    console: Console | None = None,
 ) -> Recording:
     """Reads a LeRobot dataset.
 
@@ -88,6 +91,7 @@ def read_lerobot(
         action: Features that are the action; `action` when empty.
         tolerance: How far the time of a step's picture may be from the step's (s); a tenth of a
             step when None.
+        console: For progress; silent when None.
 
     Returns:
         The recording. Its episodes' pictures are decoded when they are asked for.
@@ -96,7 +100,7 @@ def read_lerobot(
         DatasetError: It is no such folder, one of another version, or damaged: numbers that are not
             finite, missing or short videos, codecs that cannot be decoded, steps without a picture.
             All of this is found at once; single damaged pictures are found as they are decoded.
-        ConfigError: pyarrow is not installed.
+        ConfigError: pyarrow is not installed, or the tolerance is no part of a step.
     """
     root = absolute(path)
     info, where = read_info(root), str(root / INFO)
@@ -109,7 +113,7 @@ def read_lerobot(
     )
     allowed = TOLERANCE / info.fps if tolerance is None else tolerance
     if not 0 < allowed < 0.5 / info.fps:
-        raise DatasetError(
+        raise ConfigError(
             f"tolerance is more than 0 and less than half a step ({0.5 / info.fps:.4f} s), got "
             f"{allowed}."
         )
@@ -123,7 +127,7 @@ def read_lerobot(
         {v: c for v, key in views.items() if (c := _clip(info, episode, v, key, allowed))}
         for episode in rows
     ]
-    sizes = _check_pictures(clips)
+    sizes = _check_pictures(clips, console)
     readers = Readers(VideoReader), Readers(ImageReader)
     episodes = [
         Episode(
@@ -170,19 +174,23 @@ def _clip(info: Info, rows: EpisodeRows, view: str, key: str, tolerance: float) 
     return VideoClip(view, file, start + rows.timestamps, tolerance, place.name)
 
 
-def _check_pictures(clips: Sequence[Mapping[str, Clip]]) -> dict[tuple[Path, str], tuple[int, int]]:
+def _check_pictures(
+    clips: Sequence[Mapping[str, Clip]], console: Console | None
+) -> dict[tuple[Path, str], tuple[int, int]]:
     """Height and width of every file's pictures, by file and view; refuses what cannot be read."""
     inside: dict[tuple[Path, str], list[Clip]] = {}
     for clip in (clip for views in clips for clip in views.values()):
         inside.setdefault((clip.file, clip.view), []).append(clip)
     sizes = {}
-    for (file, view), of_file in inside.items():
-        first = of_file[0]
-        if isinstance(first, ImageClip):
-            sizes[file, view] = images.check_images(first)
-        else:
-            own = [clip for clip in of_file if isinstance(clip, VideoClip)]
-            sizes[file, view] = videos.check_video(file, own)
+    with progress(console, "checking", len(inside)) as advance:
+        for (file, view), of_file in inside.items():
+            first = of_file[0]
+            if isinstance(first, ImageClip):
+                sizes[file, view] = images.check_images(first)
+            else:
+                own = [clip for clip in of_file if isinstance(clip, VideoClip)]
+                sizes[file, view] = videos.check_video(file, own)
+            advance()
     return sizes
 
 

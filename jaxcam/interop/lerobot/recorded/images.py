@@ -50,7 +50,7 @@ def check_images(clip: ImageClip) -> tuple[int, int]:
     Raises:
         DatasetError: The column has none, or the picture cannot be decoded.
     """
-    reader = ImageReader(clip.file)
+    reader = ImageReader(clip)
     with contextlib.closing(reader), contextlib.closing(reader.pictures(clip)) as pictures:
         height, width, _ = next(pictures).shape
     return height, width
@@ -70,12 +70,12 @@ class ImageReader:
     """An open table whose pictures are read forwards.
 
     Args:
-        file: The table.
+        clip: An episode in it.
     """
 
-    def __init__(self, file: Path) -> None:
-        self.file = file
-        self._table = open_table(file)
+    def __init__(self, clip: ImageClip) -> None:
+        self.file = clip.file
+        self._table = open_table(clip.file)
         self._column = ""
         self._rows: Iterator[bytes | None] = iter(())
         self._next = -1

@@ -49,12 +49,15 @@ class Feature:
     names: Any = None
     """Of its numbers or axes: a list, or lists in a dict."""
     info: dict[str, Any] | None = None
-    """Of a video: how it is coded."""
+    """Of pictures: how they are coded."""
+    video_info: dict[str, Any] | None = None
+    """The same, as older versions call it."""
 
     @property
     def is_picture(self) -> bool:
         """Whether it is what a camera saw in colours; depth is none."""
-        is_depth = (self.info or {}).get("video.is_depth_map") is True
+        about = (self.video_info or {}) | (self.info or {})
+        is_depth = about.get("is_depth_map") or about.get("video.is_depth_map")
         return self.dtype in _PICTURES and not is_depth
 
 
@@ -239,7 +242,8 @@ def _new_places(root: Path, info: Info) -> Iterator[EpisodePlace]:
         raise DatasetError(f"{root} has no table of its episodes, meta/episodes/*/*.parquet.")
     videos = [k for k, f in info.features.items() if f.is_picture and f.dtype == "video"]
     keys = ("chunk_index", "file_index", "from_timestamp")
-    own = ("episode_index", "length", "data/chunk_index", "data/file_index", "dataset_from_index")
+    own = ("episode_index", "length", "data/chunk_index", "data/file_index")
+    own += ("dataset_from_index", "dataset_to_index")
     names = [*own, *(f"videos/{video}/{key}" for video in videos for key in keys)]
     for path in paths:
         table = read_table(path, names)
@@ -251,7 +255,11 @@ def _new_places(root: Path, info: Info) -> Iterator[EpisodePlace]:
                 _start(root, info, video, path, given)
                 for given in zip(chunks, files, times, strict=True)
             ]
-        for i, (e, length, chunk, file, first) in enumerate(zip(*columns, strict=True)):
+        for i, (e, length, chunk, file, first, end) in enumerate(zip(*columns, strict=True)):
+            if end - first != length:
+                raise DatasetError(
+                    f"{path}: episode {e} has {length} steps, and the indices {first} to {end}."
+                )
             numbers = {"chunk_index": chunk, "file_index": file}
             given = {video: start[i] for video, start in starts.items()}
             yield EpisodePlace(

@@ -1,5 +1,6 @@
 """Which of a LeRobot folder's features are what, and how their numbers are called."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,6 +15,7 @@ STATES = ("observation.state", "state")
 """Where states are, in order of choice; several columns may begin so, followed by a dot."""
 ACTIONS = ("action", "actions")
 """Where actions are, in the same way."""
+_DEEPEST = 8
 _PREFIXES = ("observation.images.", "observation.")
 
 
@@ -25,7 +27,7 @@ def view_names(features: Mapping[str, Feature], where: str) -> dict[str, str]:
         where: The file that names them, for messages.
 
     Raises:
-        DatasetError: There are none, or two have one name.
+        DatasetError: There are none, or two have one name, or one has a name that is a path.
     """
     views: dict[str, str] = {}
     for key, feature in features.items():
@@ -33,6 +35,8 @@ def view_names(features: Mapping[str, Feature], where: str) -> dict[str, str]:
             continue
         prefix = next((p for p in _PREFIXES if key.startswith(p) and key != p), "")
         view = key.removeprefix(prefix)
+        if "/" in view or view in (".", ".."):
+            raise DatasetError(f"{where}: the feature '{key}' has a name that is a path.")
         if view in views:
             raise DatasetError(
                 f"{where}: the features '{views[view]}' and '{key}' both are the view '{view}'. "
@@ -98,7 +102,12 @@ def number_names(
     names: list[str] = []
     for column, size in zip(columns, sizes, strict=True):
         feature, last = features[column], column.rpartition(".")[2]
-        own = _labels(feature.names)
+        if feature.shape and math.prod(feature.shape) != size:
+            raise DatasetError(
+                f"{where}: '{column}' is said to be {list(feature.shape)}, and its rows have "
+                f"{size} numbers."
+            )
+        own = _labels(feature.names, where)
         if len(own) != size:
             if len(own) > 1 and len(feature.shape) < 2:
                 raise DatasetError(
@@ -117,18 +126,20 @@ def number_names(
     return tuple(names)
 
 
-def _labels(names: Any) -> list[str]:
+def _labels(names: Any, where: str, depth: int = 0) -> list[str]:
     """A feature's names as a list: of a list, of lists in a dict, or of a dict's places."""
+    if depth > _DEEPEST:
+        raise DatasetError(f"{where} has names in lists in lists in lists, {depth} deep.")
     if isinstance(names, Mapping):
         places = list(names.values())
         if all(type(place) is int for place in places):
             return sorted(names, key=lambda name: names[name])
-        parts = [_labels(part) for part in places]
+        parts = [_labels(part, where, depth + 1) for part in places]
         if len(parts) == 1:
             return parts[0]
         return [f"{key}.{name}" for key, part in zip(names, parts, strict=True) for name in part]
     if isinstance(names, Sequence) and not isinstance(names, str):
-        return [label for name in names for label in _labels(name)]
+        return [label for name in names for label in _labels(name, where, depth + 1)]
     return [] if names is None else [str(names)]
 
 

@@ -52,10 +52,10 @@ class Readers(Generic[C]):
     """The files of one kind that are open: at most one a view, between two episodes.
 
     Args:
-        kind: Opens a file.
+        kind: Opens a clip's file.
     """
 
-    def __init__(self, kind: Callable[[Path], Reader[C]]) -> None:
+    def __init__(self, kind: Callable[[C], Reader[C]]) -> None:
         self._kind = kind
         self._left: dict[str, Reader[C]] = {}
 
@@ -71,7 +71,7 @@ class Readers(Generic[C]):
         if reader is not None and reader.file != clip.file:
             reader.close()
             reader = None
-        reader = reader or self._kind(clip.file)
+        reader = reader or self._kind(clip)
         try:
             yield reader
         except BaseException:

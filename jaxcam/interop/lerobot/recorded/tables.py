@@ -35,12 +35,14 @@ def read_table(path: Path, names: Sequence[str] | None = None) -> pa.Table:
         names: Of the columns; all when None.
 
     Raises:
-        DatasetError: The file is missing or damaged, or has no such column.
+        DatasetError: The file is missing or damaged, or does not have each column once.
     """
     with open_table(path) as file:
         there = file.schema_arrow.names
         if missing := [name for name in names or () if name not in there]:
             raise DatasetError(_no_column(path, missing[0], there))
+        if doubled := [name for name in names or there if there.count(name) > 1]:
+            raise DatasetError(f"{path} has two columns '{doubled[0]}'.")
         try:
             table = file.read(columns=list(names) if names else None)
         except (OSError, pa.ArrowException) as error:

@@ -104,12 +104,12 @@ class VideoReader:
     """An open video that is decoded forwards.
 
     Args:
-        file: The video.
+        clip: An episode in it.
     """
 
-    def __init__(self, file: Path) -> None:
-        self.file = file
-        self._container, self._stream = _open(file, "reading on")
+    def __init__(self, clip: VideoClip) -> None:
+        self.file = clip.file
+        self._container, self._stream = _open(clip.file, clip.what)
         self._stream.thread_type = "AUTO"
         self._base = float(self._stream.time_base or 1)
         self._frames: Iterator[VideoFrame] = iter(())
