@@ -32,7 +32,7 @@ class Calibration:
 class Placement:
     """What a dataset's own format says of a camera, which calibrations from elsewhere overrule.
 
-    Either may be missing. What has a first axis T holds picture by picture, the rest throughout.
+    The pose or K may be missing. What has a first axis T holds picture by picture, as on a wrist.
     """
 
     base_from_camera: np.ndarray | None

@@ -15,7 +15,7 @@ import numpy as np
 from rich.console import Console
 
 from jaxcam.config.names import Conditioning
-from jaxcam.data.recordings import Calibration, Episode, Recording, Sight
+from jaxcam.data.recordings import Calibration, Episode, Placement, Recording, Sight
 from jaxcam.errors import CameraError, ConfigError, DatasetError, closest
 from jaxcam.files.paths import home
 from jaxcam.interop.cameras.files import CamerasFile, Entry, read_cameras, read_notes
@@ -41,7 +41,8 @@ def calibrated(
 
     Returns:
         The recording with calibrations, each checked, and with a fingerprint that covers them.
-        Views without one are left as they are: see `require_calibrated`.
+        Where half of one is missing, the other half is the camera's `placement`, so that
+        `require_calibrated` can say what is.
 
     Raises:
         ConfigError: A file of calibrations has a name or a value that is none.
@@ -68,7 +69,7 @@ def calibrated(
     result = replace(recording, episodes=episodes)
     if _cameras_of(result) != _cameras_of(recording):
         seal = f"{recording.fingerprint} {_cameras_of(result)}"
-        result = replace(result, fingerprint=hashlib.sha256(seal.encode()).hexdigest())
+        result = replace(result, fingerprint=hashlib.sha256(seal.encode()).hexdigest()[:16])
     if console:
         for line in sources(result):
             console.print(line, markup=False, highlight=False, soft_wrap=True)
@@ -82,8 +83,11 @@ def sources(recording: Recording) -> list[str]:
     """Where each view's calibration is from, a line each."""
     lines = []
     for view in recording.views:
-        cameras = [e.sights[view].calibration for e in recording.episodes if view in e.sights]
-        counts = Counter(c.source or "its columns" if c else "no calibration" for c in cameras)
+        cameras = [e.sights[view] for e in recording.episodes if view in e.sights]
+        counts = Counter(
+            s.calibration.source or "its columns" if s.calibration else f"nobody says {_lacks(s)}"
+            for s in cameras
+        )
         words = [
             source + (f" ({count} episodes)" if len(counts) > 1 else "")
             for source, count in counts.items()
@@ -105,34 +109,45 @@ def require_calibrated(recording: Recording, conditioning: Conditioning) -> None
     """
     if conditioning == "none":
         return
-    missing = {}
+    missing = []
     for view in recording.views:
         episodes = [e for e in recording.episodes if view in e.sights]
         without = [e for e in episodes if e.sights[view].calibration is None]
         if without:
             sight = without[0].sights[view]
-            what = "K (its pose is known)" if _has_pose(sight) else "K and its pose"
-            missing[view] = f"{view} (in {len(without)} of {len(episodes)} episodes): {what}", sight
-    if not missing:
-        return
-    view, sight = next((view, sight) for view, (_, sight) in missing.items())
-    pose = (
-        ""
-        if _has_pose(sight)
-        else (', "base_from_camera": {"position": [x, y, z], "quaternion_wxyz": [w, x, y, z]}')
-    )
-    raise DatasetError(
-        f"{recording.path}: cameras without a calibration, which --conditioning {conditioning} "
-        f"needs: {'; '.join(words for words, _ in missing.values())}. The shortest way: measure "
-        f"them, write cameras.json, and give --cameras cameras.json: "
-        f'{{"format": 1, "views": {{"{view}": {{"K": {{"fx": …, "fy": …, '
-        f'"cx": …, "cy": …}}, "size": [{sight.width}, {sight.height}]{pose}}}}}}} ({PAGE} has the '
-        "conventions). Or train without: --conditioning none."
-    )
+            words = f"{view} (in {len(without)} of {len(episodes)} episodes): {_lacks(sight)}"
+            missing.append((words, _entries(view, sight)))
+    if missing:
+        raise DatasetError(
+            f"{recording.path}: cameras without a calibration, which --conditioning {conditioning} "
+            f"needs: {'; '.join(words for words, _ in missing)}. The shortest way: measure them, "
+            f"write cameras.json, and give --cameras cameras.json, for example {missing[0][1]} "
+            f"({PAGE} has the conventions). Or train without: --conditioning none."
+        )
 
 
-def _has_pose(sight: Sight) -> bool:
-    return sight.placement is not None and sight.placement.base_from_camera is not None
+def _lacks(sight: Sight) -> str:
+    """What nobody says of a camera, and who says the rest."""
+    known = sight.placement
+    if known and known.K is not None and known.base_from_camera is None:
+        return f"its pose (K: {known.K_source})"
+    if known and known.base_from_camera is not None:
+        return f"K (its pose: {known.source})"
+    return "K and its pose"
+
+
+def _entries(view: str, sight: Sight) -> str:
+    """The entries of a `cameras.json` with what nobody says of a camera."""
+    size = f'"size": [{sight.width}, {sight.height}]'
+    K = f'"K": {{"fx": …, "fy": …, "cx": …, "cy": …}}, {size}'
+    pose = '"base_from_camera": {"position": [x, y, z], "quaternion_wxyz": [w, x, y, z]}'
+    known = sight.placement
+    entries = [
+        text
+        for text, value in ((K, known and known.K), (pose, known and known.base_from_camera))
+        if value is None
+    ]
+    return f'{{"format": 1, "views": {{"{view}": {{{", ".join(entries)}}}}}}}'
 
 
 def _calibrated(
@@ -145,10 +160,11 @@ def _calibrated(
         names, views = (episode.name, str(number)), (view, IMAGES + view)
         entries = [(str(file.path), file.of(names, views)) for file in files]
         optics, pose = _optics(sight, entries, where), _pose(sight, entries, names)
-        if optics is None or pose is None:
-            return sight
-        K, distortion, K_source = optics
-        base_from_camera, source = pose
+        K, distortion, K_source = optics or (None, None, "")
+        base_from_camera, source = pose or (None, "")
+        if K is None or distortion is None or base_from_camera is None:
+            half = Placement(base_from_camera, source, K, K_source)
+            return replace(sight, placement=half if optics or pose else None)
         words = source if source == K_source else f"K: {K_source}; pose: {source}"
         result = Calibration(K, base_from_camera, distortion, words)
     _check(result, sight, episode.length, f"{where}, from {result.source or 'its columns'}")
@@ -209,10 +225,13 @@ def _check_names(file: CamerasFile, recording: Recording) -> None:
             raise ConfigError(
                 f"{file.path}: unknown view {view!r:.80}{closest(view, recording.views)}."
             )
-    numbers = {str(number) for number in range(len(recording.episodes))}
-    names = {episode.name for episode in recording.episodes}
+    numbers = {str(number): e.name for number, e in enumerate(recording.episodes)}
+    names = set(numbers.values())
+    for number, name in numbers.items():
+        if number != name and {number, name} <= file.episodes.keys():
+            raise ConfigError(f"{file.path}: episodes '{number}' and '{name}' are one.")
     for episode in file.episodes:
-        if episode not in numbers | names:
+        if episode not in numbers and episode not in names:
             raise ConfigError(
                 f"{file.path}: unknown episode {episode!r:.80}. Known: 0 to {len(numbers) - 1}, "
                 f"and their names, such as {min(names)!r:.80}."

@@ -195,10 +195,14 @@ def test_the_first_source_counts_and_each_is_told(tmp_path, poses, capsys):
     optics = {k: v for k, v in FRONT.items() if k != "base_from_camera"}
     write(tmp_path, {"format": 1, "views": {"front": optics}})
     words = f"K: {given}; pose: six numbers"
-    assert told_of(placed) == [f"View front: {words}.", "View wrist: no calibration."]
+    assert told_of(placed) == [
+        f"View front: {words}.",
+        "View wrist: nobody says K (its pose: six numbers).",
+    ]
     front = calibrated(placed, given).episodes[0].sights["front"].calibration
     np.testing.assert_array_equal(front.base_from_camera, BASE)
-    assert told_of(placed, None) == ["View front: no calibration.", "View wrist: no calibration."]
+    lacking = [f"View {view}: nobody says K (its pose: six numbers)." for view in placed.views]
+    assert told_of(placed, None) == lacking
 
 
 def test_columns_stay_as_they_are():
@@ -207,7 +211,7 @@ def test_columns_stay_as_they_are():
     assert result.fingerprint == before.fingerprint
     front = result.episodes[0].sights["front"].calibration
     np.testing.assert_array_equal(front.base_from_camera, OTHER)
-    assert sources(result)[1] == "View wrist: no calibration."
+    assert sources(result)[1] == "View wrist: nobody says K and its pose."
 
 
 def test_what_an_export_notes_is_no_calibration(tmp_path):
@@ -216,7 +220,7 @@ def test_what_an_export_notes_is_no_calibration(tmp_path):
              "intrinsics": K.tolist(), "world_from_base": BASE.tolist(),
              "conventions": {}}  # fmt: skip
     write(tmp_path, notes, "meta/jaxcam.json")
-    assert sources(calibrated(recording(tmp_path)))[0] == "View front: no calibration."
+    assert sources(calibrated(recording(tmp_path)))[0] == "View front: nobody says K and its pose."
     write(tmp_path, notes | content() | {"views": {"front": FRONT}}, "meta/jaxcam.json")
     assert "jaxcam.json" in sources(calibrated(recording(tmp_path)))[0]
     write(tmp_path, {"format": 1, "veiws": {}}, "meta/jaxcam.json")
@@ -235,7 +239,22 @@ def test_missing_calibrations_are_refused_with_the_shortest_way(tmp_path):
     assert "--cameras cameras.json" in words
     assert f'"size": [{WIDTH}, {HEIGHT}], "base_from_camera"' in words
     assert "--conditioning none" in words
-    assert sources(result)[0] == f"View front: no calibration (2 episodes); {some} (1 episodes)."
+    assert (
+        sources(result)[0]
+        == f"View front: nobody says K and its pose (2 episodes); {some} (1 episodes)."
+    )
+
+
+def test_half_a_calibration_is_told(tmp_path):
+    """What is asked for is only what is missing, and K is not asked for twice."""
+    optics = {k: v for k, v in FRONT.items() if k != "base_from_camera"}
+    path = write(tmp_path, {"format": 1, "views": {"front": optics, "wrist": optics}})
+    with pytest.raises(DatasetError) as error:
+        require_calibrated(calibrated(recording(), path), "token")
+    words = str(error.value)
+    assert f"front (in 3 of 3 episodes): its pose (K: {path})" in words
+    assert '"base_from_camera"' in words
+    assert '"size"' not in words
 
 
 def test_names_of_lerobot_may_be_in_full(tmp_path):
@@ -303,6 +322,8 @@ BAD = {
                         "view 'frnt', did you mean 'front'"),
     "a misspelt view of an episode": (lambda: content(episodes={"0": {"wirst": WRIST}}),
                                       ConfigError, "did you mean 'wrist'"),
+    "an episode by two names": (lambda: content(episodes={"1": {}, "episode 1": {}}), ConfigError,
+                                "'1' and 'episode 1' are one"),
     "an unknown episode": (lambda: content(episodes={"3": {}}), ConfigError, "Known: 0 to 2"),
     "a view by two names": (lambda: {"format": 1, "views": {"observation.images.front": FRONT,
                                                             "front": FRONT}},

@@ -111,7 +111,7 @@ def read_droid(
         action_names=(*arm, GRIPPER),
         rate=RATE,
         episodes=episodes,
-        fingerprint=seal.hexdigest(),
+        fingerprint=seal.hexdigest()[:16],
     )
 
 
@@ -187,7 +187,8 @@ def _state_and_action(file: h5py.File, actions: Actions) -> tuple[np.ndarray, np
                 f"{file.filename}: {what} of shapes {list(arm.shape)} and {list(gripper.shape)}; "
                 f"expected [{length}, {width}] and [{length}]."
             )
-        array = np.concatenate([arm, gripper.reshape(-1, 1)], 1).astype(np.float32)
+        with np.errstate(over="ignore"):  # what is too large becomes infinite, and is refused
+            array = np.concatenate([arm, gripper.reshape(-1, 1)], 1).astype(np.float32)
         if not np.isfinite(array).all():
             step = int(np.argwhere(~np.isfinite(array))[0, 0])
             raise DatasetError(f"{file.filename}: NaN or infinity in the {what} of step {step}.")
@@ -213,7 +214,11 @@ def _steps(file: h5py.File, length: int, videos: dict[str, Video]) -> np.ndarray
     ):
         if group in observation and name in group_at(observation, group):
             flags = numbers(group_at(observation, group), name).reshape(-1)
-            if len(flags) == length:
-                moves = flags != skipped
-                break
+            if len(flags) != length:
+                raise DatasetError(
+                    f"{file.filename}: observation/{group}/{name}: {len(flags)} steps, expected "
+                    f"{length}."
+                )
+            moves = flags != skipped
+            break
     return np.flatnonzero(moves[:end])

@@ -59,7 +59,7 @@ def test_columns_of_lerobot(tmp_path):
     recording = calibrated(read_lerobot(root), path)
     assert sources(recording) == [
         f"View exterior_1_left: K: {path}; pose: the column camera_extrinsics.exterior_1_left.",
-        "View exterior_2_left: no calibration.",
+        f"View exterior_2_left: nobody says its pose (K: {path}).",
         f"View wrist_left: K: {path}; pose: the column camera_extrinsics.wrist_left.",
     ]
     for episode, length in zip(recording.episodes, (4, 5), strict=True):

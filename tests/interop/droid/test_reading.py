@@ -118,7 +118,7 @@ def test_later_annotations_come_first(tmp_path):
 
 def test_k_comes_from_a_file_that_is_given_or_is_missed(root, tmp_path):
     recording = calibrated(read_droid(root))
-    with pytest.raises(DatasetError, match=r"exterior_1_left .*K \(its pose is known\).*--cameras"):
+    with pytest.raises(DatasetError, match=r"exterior_1_left .*K \(its pose: DROID.*--cameras"):
         require_calibrated(recording, "early")
     require_calibrated(recording, "none")
     view = {"K": {"fx": 800, "fy": 800, "cx": 640, "cy": 360}, "size": [1280, 720]}
@@ -200,6 +200,15 @@ def nan(folder):
     write_episode(folder / "a", arrays={"observation/robot_state/joint_positions": state})
 
 
+def too_large(folder):
+    state = np.full((LENGTH, 7), 1e300)
+    write_episode(folder / "a", arrays={"observation/robot_state/joint_positions": state})
+
+
+def flags(folder):
+    write_episode(folder / "a", arrays={"observation/timestamp/skip_action": np.zeros(3, bool)})
+
+
 def six_joints(folder):
     write_episode(folder / "a", arrays={"action/joint_position": np.zeros((LENGTH, 6))})
 
@@ -230,6 +239,8 @@ BAD = {
     "a short video": (short, DatasetError, r"20\.mp4: 5 pictures, expected 30"),
     "videos of others": (others, DatasetError, "its cameras are .*20.*but the videos are of 99"),
     "NaN": (nan, DatasetError, "NaN or infinity in the state of step 0"),
+    "too large numbers": (too_large, DatasetError, "infinity in the state of step 0"),
+    "flags of three steps": (flags, DatasetError, "skip_action: 3 steps, expected 6"),
     "six joints": (six_joints, DatasetError, r"action of shapes \[6, 6\]"),
     "no actions": (no_actions, DatasetError, "no 'joint_position'"),
     "a cut file": (cut, DatasetError, r"trajectory\.h5: damaged or truncated"),
