@@ -63,13 +63,14 @@ def as_record(kind: type[C], values: Any, what: str = "configuration") -> C:
     """
     if not isinstance(values, dict):
         raise ConfigError(f"The {what} is a JSON {type(values).__name__}, not an object.")
+    where = f"{what}: " if what != "configuration" else ""
     values = cast("dict[str, Any]", values)
     completed = getattr(kind, "completed", None)
     values = completed(values) if completed else values
     known = {f.name: f for f in dataclasses.fields(kind)}
     for name in values:
         if name not in known:
-            raise ConfigError(f"Unknown setting {name!r:.80}{closest(name, known)}.")
+            raise ConfigError(f"{where}Unknown setting {name!r:.80}{closest(name, known)}.")
     for name, field in known.items():
         needed = dataclasses.MISSING is field.default is field.default_factory
         if needed and name not in values:
@@ -82,7 +83,7 @@ def as_record(kind: type[C], values: Any, what: str = "configuration") -> C:
     }
     values = values | tuples
     for name, value in values.items():  # before the record's own checks compute with them
-        check_value(f"{what}: " if what != "configuration" else "", name, value, hints[name])
+        check_value(where, name, value, hints[name])
     return kind(**values)
 
 

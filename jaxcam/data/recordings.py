@@ -29,6 +29,23 @@ class Calibration:
 
 
 @dataclass(frozen=True)
+class Placement:
+    """What a dataset's own format says of a camera, which calibrations from elsewhere overrule.
+
+    The pose or K may be missing. What has a first axis T holds picture by picture, as on a wrist.
+    """
+
+    base_from_camera: np.ndarray | None
+    """Poses in the robot's base frame, OpenCV axes, float64 [4, 4] or [T, 4, 4]."""
+    source: str
+    """Where the pose is from, in words."""
+    K: np.ndarray | None = None
+    """Intrinsics in pixels of the recorded pictures, float64 [3, 3]; a pinhole's."""
+    K_source: str = ""
+    """Where they are from, in words."""
+
+
+@dataclass(frozen=True)
 class Sight:
     """What one camera saw of one episode."""
 
@@ -43,6 +60,8 @@ class Sight:
     """
     calibration: Calibration | None = None
     """None where nobody says where the camera stood."""
+    placement: Placement | None = None
+    """What `jaxcam.interop.calibrations` falls back on; None where the format does not say."""
 
 
 @dataclass(frozen=True)

@@ -1,1 +1,1 @@
-"""Datasets and policies of others: robomimic, ManiSkill, LeRobot."""
+"""Datasets and policies of others: robomimic, ManiSkill, LeRobot, DROID."""

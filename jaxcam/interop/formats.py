@@ -1,6 +1,8 @@
-"""Demonstrations in whatever format they come: ours, robomimic's or ManiSkill's."""
+"""Demonstrations in whatever format they come, and which that is."""
 
+import os
 from pathlib import Path
+from typing import Literal
 
 from rich.console import Console
 
@@ -9,10 +11,18 @@ from jaxcam.data.demos import REMEDY, Demos, read_demos
 from jaxcam.data.hdf5 import Format, format_of, open_hdf5, reading
 from jaxcam.errors import DatasetError
 from jaxcam.interop import maniskill, robomimic
+from jaxcam.interop.droid.reading import is_droid
+
+FolderFormat = Literal["lerobot", "droid"]
+"""Whose layout a folder of recorded demonstrations has."""
 
 
-def recognise(path: Path) -> Format:
-    """Whose layout a file has; "unknown" too if it cannot be opened: `read` says why."""
+def recognise(path: Path) -> Format | FolderFormat:
+    """Whose layout a file or folder has; "unknown" too if it cannot be opened: `read` says why."""
+    if os.path.isdir(path):  # that of Path raises for names that are too long
+        if (path / "meta" / "info.json").is_file():
+            return "lerobot"
+        return "droid" if is_droid(path) else "unknown"
     try:
         with open_hdf5(path, remedy=REMEDY) as file, reading(path, REMEDY):
             return format_of(file)

@@ -2,29 +2,39 @@
 
 from pathlib import Path
 
+from rich.console import Console
+
 from jaxcam.data.recordings import Recording
 from jaxcam.errors import DatasetError
 from jaxcam.interop.calibrations import calibrated
-from jaxcam.interop.droid import is_droid, read_droid
+from jaxcam.interop.droid.reading import read_droid
+from jaxcam.interop.formats import recognise
 from jaxcam.interop.lerobot.reading import read_lerobot
 
 
-def read_recording(path: Path, cameras: Path | None = None) -> Recording:
+def read_recording(
+    path: Path, cameras: Path | None = None, console: Console | None = None
+) -> Recording:
     """A recorded dataset, with where its cameras stood as far as anybody says.
 
     Args:
         path: Its folder.
         cameras: JSON file of calibrations.
+        console: For progress, and for where each calibration is from; silent when None.
 
     Raises:
         DatasetError: It is in no layout that is known, or damaged.
+        ConfigError: A file of calibrations has a name or a value that is none.
         CameraError: A calibration is impossible.
     """
-    if (path / "meta" / "info.json").is_file():
-        return calibrated(read_lerobot(path), cameras)
-    if is_droid(path):
-        return calibrated(read_droid(path), cameras)
-    raise DatasetError(
-        f"{path}: a folder, but no recorded dataset: it has neither meta/info.json (LeRobot) nor "
-        "trajectory.h5 (DROID). Datasets of demonstrations that were simulated are files."
-    )
+    match recognise(path):
+        case "lerobot":
+            recording = read_lerobot(path, console=console)
+        case "droid":
+            recording = read_droid(path, console=console)
+        case _:
+            raise DatasetError(
+                f"{path}: a folder, but no recorded dataset: it has neither meta/info.json "
+                "(LeRobot) nor trajectory.h5 (DROID). Simulated demonstrations are in files."
+            )
+    return calibrated(recording, cameras, console)

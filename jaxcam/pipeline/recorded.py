@@ -21,6 +21,7 @@ from jaxcam.errors import ConfigError
 from jaxcam.evaluation.recorded import action_errors
 from jaxcam.files.jsonl import append_jsonl
 from jaxcam.files.paths import absolute
+from jaxcam.interop.calibrations import require_calibrated
 from jaxcam.interop.recordings import read_recording
 from jaxcam.models import Policy, PolicySpec, policy_settings
 from jaxcam.reports.action_figures import write_action_figures
@@ -50,15 +51,19 @@ class Recorded:
     recording: Recording = field(repr=False)
 
     @classmethod
-    def open(cls, config: TrainConfig) -> "Recorded":
+    def open(cls, config: TrainConfig, console: Console | None = None) -> "Recorded":
         """Reads the folder that the settings name; pictures are left where they are.
+
+        Args:
+            config: Settings with a `dataset`, and perhaps `cameras`.
+            console: For progress, and for where calibrations are from; silent when None.
 
         Raises:
             DatasetError: It is in no format that is known, or damaged.
             CameraError: A calibration is impossible.
         """
         cameras = absolute(config.cameras) if config.cameras else None
-        return cls(read_recording(absolute(config.dataset), cameras))
+        return cls(read_recording(absolute(config.dataset), cameras, console))
 
     @property
     def prompt(self) -> str:
@@ -186,25 +191,6 @@ class Recorded:
             for row in rows:
                 console.print(_in_words(row), soft_wrap=True)
             console.print(f"Report: {report}", soft_wrap=True)
-
-
-def require_calibrated(recording: Recording, conditioning: str) -> None:
-    """Refuses cameras that nobody has calibrated, unless the policy is told none.
-
-    Raises:
-        ConfigError: Naming the views, and the shortest way to a calibration.
-    """
-    if conditioning == "none":
-        return
-    sights = (pair for episode in recording.episodes for pair in episode.sights.items())
-    lacking = sorted({view for view, sight in sights if not sight.calibration})
-    if lacking:
-        raise ConfigError(
-            f"{recording.path}: nobody says where these cameras stood: {', '.join(lacking)}. "
-            f"Conditioning {conditioning} needs their intrinsics and poses: write them into a file "
-            "(docs/calibrated-datasets.md) and give it as --cameras FILE. Without, "
-            "--conditioning none trains a policy that is not told."
-        )
 
 
 def _held_out(config: TrainConfig) -> HeldOut:

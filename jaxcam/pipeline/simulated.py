@@ -106,7 +106,7 @@ class Simulated:
         seeds, obs_steps = [c.seed for c in configs], policy_settings(config, task.prompt).obs_steps
         wanted = samples.wanted(seeds, config.steps, config.batch, config.views, obs_steps)
         pictures = load_pictures(demos, config.resolution, console, wanted)
-        space = space_of(config.action_space, config.rotations)  # pyright: ignore
+        space = space_of(config.action_space, config.rotations)
         return make_dataset(demos, pictures, space, task.scene(config.scene))
 
     def conclude(

@@ -74,15 +74,24 @@ class Source(Protocol):
         ...
 
 
-def source_of(config: TrainConfig) -> Source:
-    """What a run learns from: a folder that `dataset` names was recorded, all else is simulated."""
+def source_of(config: TrainConfig, console: Console | None = None) -> Source:
+    """What a run learns from: a folder that `dataset` names was recorded, all else is simulated.
+
+    Args:
+        config: Settings.
+        console: For what reading a folder tells; silent when None.
+
+    Raises:
+        ConfigError: The settings name a task and a folder that do not go together.
+        DatasetError: The folder is no recorded dataset, or is damaged.
+    """
     if config.dataset and absolute(config.dataset).is_dir():
         if config.task not in (TrainConfig.task, RECORDED):
             raise ConfigError(
                 f"{config.dataset} is a recorded dataset and shows what it shows: leave --task "
                 f"{config.task} out."
             )
-        return Recorded.open(config)
+        return Recorded.open(config, console)
     if config.task == RECORDED:
         raise ConfigError(
             "--task recorded needs the folder of a recorded dataset as --dataset; got "

@@ -39,7 +39,7 @@ def train(config: TrainConfig, console: Console | None = None) -> int:
     Returns:
         The process's exit code: 0, or 130 or 143 when a signal stopped it after saving.
     """
-    source = source_of(config)
+    source = source_of(config, console)
     configs = each_seed(source.complete(config))
     first = configs[0]
     check_loggers(first.log)

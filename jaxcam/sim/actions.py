@@ -17,7 +17,7 @@ import itertools
 
 import numpy as np
 
-from jaxcam.config.names import ActionSpace, Rotations
+from jaxcam.config.names import Rotations
 from jaxcam.rays.rotations import (
     Array,
     array_namespace,
@@ -31,7 +31,7 @@ ACTION_SPACES = ("eef_delta", "eef_abs", "joint_delta", "joint_abs")
 """The paper's four; the authors' component-wise differencing is a fifth, to reproduce them."""
 
 
-def space_of(name: ActionSpace, rotations: Rotations) -> str:
+def space_of(name: str, rotations: Rotations) -> str:
     """The space that a run's settings mean.
 
     Args:

@@ -7,7 +7,7 @@ import pytest
 import robots
 
 from jaxcam.config.train import TrainConfig
-from jaxcam.errors import ConfigError
+from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.pipeline.sources import source_of
 from jaxcam.pipeline.train import train
 from jaxcam.runs.action_errors import read_errors
@@ -86,7 +86,7 @@ def test_cameras_that_nobody_calibrated(folder):
     _, made = folder
     episode = made["recording"].episodes[2]
     episode.sights["side"] = dataclasses.replace(episode.sights["side"], calibration=None)
-    with pytest.raises(ConfigError, match=r"where these cameras stood: side\. .*--cameras FILE"):
+    with pytest.raises(DatasetError, match=r"side \(in 1 of 4 episodes\): K and its pose"):
         source_of(settings(folder)).complete(settings(folder))
     hidden = settings(folder, conditioning="none")
     assert source_of(hidden).complete(hidden).views == 3

@@ -14,9 +14,10 @@ import numpy as np
 from rich.console import Console
 
 from jaxcam.console.progress import progress
-from jaxcam.data.recordings import Calibration, Episode, Recording, Sight
+from jaxcam.data.recordings import Calibration, Episode, Placement, Recording, Sight
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.files.paths import absolute
+from jaxcam.interop.cameras import six_numbers
 from jaxcam.interop.lerobot.recorded.images import (
     ImageClip,
     ImageReader,
@@ -65,10 +66,13 @@ class _Columns:
     action: tuple[str, ...]
     cameras: Mapping[str, Mapping[str, str]]
     """By view, those of `MATRICES` that it has."""
+    extrinsics: Mapping[str, str]
+    """By view, that of DROID's six numbers, where there is one."""
 
     @property
     def all(self) -> list[str]:
         cameras = [name for columns in self.cameras.values() for name in columns.values()]
+        cameras += self.extrinsics.values()
         return list(dict.fromkeys([*self.state, *self.action, *cameras]))
 
 
@@ -83,7 +87,8 @@ def read_lerobot(
     """Reads a LeRobot dataset.
 
     Cameras whose `camera.<view>.intrinsics` and `camera.<view>.base_from_camera` are among the
-    columns, as `jaxcam.lerobot` writes them, are calibrated; the others are not. Depth is no view.
+    columns, as `jaxcam.lerobot` writes them, are calibrated; the others are not, but for those with
+    DROID's `camera_extrinsics.<view>` it is known where they stood. Depth is no view.
 
     The fingerprint is a hash of all numbers, names, instructions and calibrations, and of the files
     of pictures: their names in the folder, their sizes, and of a table of images all of its
@@ -113,6 +118,7 @@ def read_lerobot(
         columns_of(info.features, state, STATES, where),
         columns_of(info.features, action, ACTIONS, where),
         {view: _camera_columns(info, view) for view in views},
+        {v: c for v in views if (c := six_numbers.COLUMN.format(view=v)) in info.features},
     )
     allowed = _tolerance(tolerance, info)
     tasks, places = read_tasks(root, info), read_episodes(root, info)
@@ -239,10 +245,19 @@ def _sights(
         for view, clip in by_view.items():
             size, camera = sizes[clip.file, view], columns.cameras[view]
             decode = partial(_sized, films if isinstance(clip, VideoClip) else albums, clip, size)
-            sights[view] = Sight(
-                *size, decode, _calibration(clip, episode, camera) if camera else None
-            )
+            calibration = _calibration(clip, episode, camera) if camera else None
+            placement = _placement(episode, view, columns.extrinsics)
+            sights[view] = Sight(*size, decode, calibration, placement)
         yield sights
+
+
+def _placement(rows: EpisodeRows, view: str, extrinsics: Mapping[str, str]) -> Placement | None:
+    """What the column of DROID's six numbers says; they were often never filled in."""
+    if view not in extrinsics:
+        return None
+    name = extrinsics[view]
+    where = f"{rows.place.table}, {rows.place.name}: '{name}'"
+    return six_numbers.placement_of(rows.columns[name], where, f"the column {name}")
 
 
 def _sized(readers: Readers, clip: AnyClip, size: tuple[int, int]) -> Iterator[np.ndarray]:

@@ -21,6 +21,7 @@ from pyarrow import parquet
 from jaxcam.config.datasets import LerobotConfig
 from jaxcam.data.batches import make_dataset
 from jaxcam.errors import ConfigError, DatasetError
+from jaxcam.interop.calibrations import calibrated, require_calibrated, sources
 from jaxcam.interop.lerobot import format as lerobot_format
 from jaxcam.interop.lerobot.dataset import export_dataset
 from jaxcam.interop.lerobot.format import Writer, column_of, feature, statistics_of, video_feature
@@ -303,3 +304,12 @@ def test_what_is_exported_is_read_back(folder, data):
             drawn = data.pictures.rgb[data.pictures.layout.at(np.array(e), t, np.array(v))]
             error = np.mean((np.stack(list(sight.decode())).astype(float) - drawn) ** 2)
             assert 10 * np.log10(255**2 / error) > 28
+
+
+def test_its_cameras_are_read_from_its_columns(folder):
+    """And what it notes in `meta/jaxcam.json` is no calibration."""
+    recording = calibrated(read_lerobot(folder))
+    require_calibrated(recording, "late")
+    expected = [f"View {view}: the columns camera.{view}.*." for view in recording.views]
+    assert sources(recording) == expected
+    assert recording.fingerprint == read_lerobot(folder).fingerprint

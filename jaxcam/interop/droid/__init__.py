@@ -1,0 +1,1 @@
+"""DROID: its raw episodes read."""
