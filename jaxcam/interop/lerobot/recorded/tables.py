@@ -22,9 +22,11 @@ def open_table(path: Path) -> parquet.ParquetFile:
         raise DatasetError(f"{path} is missing. Was the dataset copied or downloaded in part?")
     try:
         # without pre_buffer, a column's pieces are not all held until they are asked for
-        return parquet.ParquetFile(path, pre_buffer=False, buffer_size=2**20)
-    except (OSError, pa.ArrowException) as error:
+        file = parquet.ParquetFile(path, pre_buffer=False, buffer_size=2**20)
+        _ = file.schema_arrow.names  # which may be no texts
+    except (OSError, ValueError, pa.ArrowException) as error:
         raise DatasetError(f"{path} is no whole table: {one_line(error)}.") from error
+    return file
 
 
 def read_table(path: Path, names: Sequence[str] | None = None) -> pa.Table:
@@ -72,7 +74,10 @@ def texts(table: pa.Table, name: str, path: Path) -> list[str]:
     is_text = pa.types.is_string(column.type) or pa.types.is_large_string(column.type)
     if not is_text or column.null_count:
         raise DatasetError(f"{path}: '{name}' are texts, got {column.type}{_gaps(column)}.")
-    return column.to_pylist()
+    try:
+        return column.to_pylist()
+    except UnicodeDecodeError as error:
+        raise DatasetError(f"{path}: '{name}' has a text that is not UTF-8.") from error
 
 
 def rows_of_numbers(table: pa.Table, name: str, path: Path) -> np.ndarray:
