@@ -22,7 +22,6 @@ ELSEWHERE = {
     "config/presets": "config/test_names",
     "sim/painter": "sim/test_simulators",
     "sim/types": "sim/test_engine",
-    "sim/mujoco/machine": "test_import_hygiene",
     "sim/mujoco/table": "sim/test_tasks",
     "sim/maniskill/scene": "sim/maniskill/test_tasks",
     "sim/maniskill/task": "sim/maniskill/test_tasks",
@@ -48,7 +47,17 @@ ELSEWHERE = {
     "interop/lerobot/arrow": "interop/lerobot/test_dataset",
     "interop/lerobot/format": "interop/lerobot/test_dataset",
     "interop/lerobot/layout": "interop/lerobot/test_policy",
+    "interop/lerobot/counterparts": "interop/lerobot/test_records",
     "interop/weights": "interop/lerobot/test_policy",
+    "interop/cameras/optics": "interop/cameras/test_files",
+    "interop/droid/annotations": "interop/droid/test_reading",
+    "interop/droid/cameras": "interop/droid/test_reading",
+    "interop/droid/videos": "interop/droid/test_reading",
+    "interop/robosuite_witness": "interop/test_robosuite_commands",
+    "files/json": "interop/cameras/test_files",
+    "data/recorded/recording": "data/recorded/test_parts",
+    "pipeline/simulated": "pipeline/test_train",
+    "pipeline/sources": "pipeline/test_recorded",
 }
 """Modules without a file of tests of their own name, and where they are tested."""
 

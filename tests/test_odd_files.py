@@ -22,13 +22,13 @@ from jaxcam.checks.run import check_run
 from jaxcam.config.fields import to_json
 from jaxcam.data.pairs import read_digests
 from jaxcam.errors import JaxcamError
-from jaxcam.interop.lerobot.policy import describe, read_about, read_checkpoint
+from jaxcam.interop.lerobot.policy import describe_checkpoint, read_about, read_checkpoint
 from jaxcam.rays import read_pose_file
 from jaxcam.reports.arms import read_results
 from jaxcam.reports.records import read_records
 from jaxcam.runs.grid import read_grid
 from jaxcam.runs.identity import read_config
-from jaxcam.runs.manifests import DamagedError, seal, starting_weights, steps_in
+from jaxcam.runs.manifests import DamagedError, record_of_weights, seal, steps_in
 from jaxcam.runs.metrics import read_metrics
 from jaxcam.runs.rollouts import read_rows
 from jaxcam.training.digests import read_all
@@ -55,7 +55,7 @@ def grid(folder):
 
 
 def weights(folder):
-    return folder / "weights.json", lambda: starting_weights(folder)
+    return folder / "weights.json", lambda: record_of_weights(folder)
 
 
 def poses(folder):
@@ -78,7 +78,7 @@ def lerobot(kind, file):
     def make(folder):
         pytest.importorskip("safetensors")
         write_folder(folder, kind)
-        read = read_checkpoint if kind == "smolvla" else describe
+        read = read_checkpoint if kind == "smolvla" else describe_checkpoint
         return folder / file, lambda: read(folder)
 
     return make

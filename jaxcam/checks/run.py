@@ -20,7 +20,7 @@ from jaxcam.errors import JaxcamError
 from jaxcam.files.paths import absolute, home, read_text
 from jaxcam.runs.environment import environment
 from jaxcam.runs.identity import stored_config, unlike
-from jaxcam.runs.manifests import DamagedError, starting_weights
+from jaxcam.runs.manifests import DamagedError, record_of_weights
 from jaxcam.runs.metrics import read_metrics
 from jaxcam.training.checkpoint import checkpoint_steps
 from jaxcam.training.digests import read_all
@@ -156,7 +156,7 @@ def _set_aside(folder: Path) -> Iterator[Finding]:
 
 def _weights(folder: Path) -> Iterator[Finding]:
     """A finding where the run started from weights."""
-    if record := starting_weights(folder):
+    if record := record_of_weights(folder):
         kind = record.kind or "of an unknown kind"
         yield good("weights", got=f"started from {kind}, {record.sha256[:8]}", where="weights.json")
 

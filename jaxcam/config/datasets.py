@@ -20,7 +20,7 @@ from jaxcam.config.names import (
     SceneName,
     TaskName,
 )
-from jaxcam.config.sizes import sides
+from jaxcam.config.sizes import rows_and_columns
 from jaxcam.config.train import MOST_DEMOS, TrainConfig
 from jaxcam.errors import ConfigError
 
@@ -147,5 +147,5 @@ class LerobotConfig:
 
     def __post_init__(self) -> None:
         check_types(self)
-        if any(side % 2 for side in sides(self.resolution)):
+        if any(side % 2 for side in rows_and_columns(self.resolution)):
             raise ConfigError(f"resolution must be even for video, got {self.resolution}.")

@@ -8,7 +8,7 @@ LEAST, MOST = 16, 4096
 """Pixels of a side."""
 
 
-def sides(resolution: int | str) -> tuple[int, int]:
+def rows_and_columns(resolution: int | str) -> tuple[int, int]:
     """Rows and columns of a picture.
 
     Args:
@@ -33,5 +33,5 @@ def sides(resolution: int | str) -> tuple[int, int]:
 
 
 def size_name(height: int, width: int) -> int | str:
-    """The inverse of `sides`: an int for a square, else text such as "96x128"."""
+    """The inverse of `rows_and_columns`: an int for a square, else text such as "96x128"."""
     return height if height == width else f"{height}x{width}"

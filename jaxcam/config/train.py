@@ -34,7 +34,7 @@ from jaxcam.config.names import (
     Stem,
     Subject,
 )
-from jaxcam.config.sizes import sides
+from jaxcam.config.sizes import rows_and_columns
 from jaxcam.errors import ConfigError
 
 MOST_DEMOS = 100_000
@@ -190,7 +190,7 @@ class TrainConfig:
         check_most(self, 1_000_000, "batch accumulate keep steps_per_call pairs videos")
         check_most(self, MOST_DEMOS, "demos validation n m")
         if vars(self)["resolution"] is not None:
-            sides(self.resolution)
+            rows_and_columns(self.resolution)
         check_seeds(self.seed, *self.seeds)
         _check_shares(self)
         _check_cameras(self)

@@ -23,7 +23,7 @@ from jaxcam.rays.rotations import rotvec_from_matrix
 from jaxcam.sim import make_engine, make_task, simulator_of
 from jaxcam.sim.engine import Engine
 from jaxcam.sim.task import Task, starts
-from jaxcam.sim.types import Aim, Command, Sight, Start, State
+from jaxcam.sim.types import Aim, Command, ExpertSight, Start, State
 from jaxcam.sim.world import World
 
 BATCH = 50
@@ -155,7 +155,7 @@ def run_expert(task: Task, scene: World, engine: Engine, seeds: list[int]) -> li
     state = engine.reset(start)
     rngs = [task.rng(seed) for seed in seeds]
     each = (Start(*row) for row in zip(*start, strict=True))
-    sights = [Sight(*x) for x in zip(*_sensed(state), rngs, each, strict=True)]
+    sights = [ExpertSight(*x) for x in zip(*_sensed(state), rngs, each, strict=True)]
     experts = [task.expert(scene, sight) for sight in sights]
     trace: list[State] = [state]
     commands: list[np.ndarray] = []

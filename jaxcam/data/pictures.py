@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from jaxcam.config.sizes import sides
+from jaxcam.config.sizes import rows_and_columns
 from jaxcam.console.progress import progress
 from jaxcam.data.caches import PICTURES_AT_ONCE, Cache, is_blank
 from jaxcam.data.cameras import require_possible
@@ -95,7 +95,7 @@ def cache_of(path: Path, demos: Demos, resolution: int | str) -> Cache:
     Raises:
         DatasetError: If it is not what was written.
     """
-    return Cache(path, (Layout.of(demos).total, *sides(resolution), 3))
+    return Cache(path, (Layout.of(demos).total, *rows_and_columns(resolution), 3))
 
 
 def _pictures(cache: Cache, demos: Demos) -> Pictures:
@@ -176,7 +176,7 @@ def draw_views(
 @functools.cache
 def _renderer(task_name: str, scene_name: str, resolution: int | str) -> Painter:
     task = make_task(task_name)
-    return make_painter(task.scene(scene_name), *sides(resolution), varied=task.varied)
+    return make_painter(task.scene(scene_name), *rows_and_columns(resolution), varied=task.varied)
 
 
 def _draw_view(task: str, scene: str, resolution: int | str, view: View) -> np.ndarray:
@@ -206,7 +206,7 @@ def views_of(
     which = np.arange(demo.length * cameras) if which is None else which
     t, camera = np.divmod(which, cameras)
     count = len(which)
-    K = intrinsics(demos.header.fovy_deg, *sides(resolution))
+    K = intrinsics(demos.header.fovy_deg, *rows_and_columns(resolution))
     return View(
         qpos=demo.qpos[t],
         geom_size=np.broadcast_to(demo.geom_size, (count, *demo.geom_size.shape)),

@@ -11,7 +11,7 @@ import numpy as np
 from jax.sharding import Mesh
 from jax.tree_util import Partial
 
-from jaxcam.config.sizes import sides
+from jaxcam.config.sizes import rows_and_columns
 from jaxcam.config.train import TrainConfig
 from jaxcam.data.pairs import Pairs, make_pairs
 from jaxcam.devices import copied, data_mesh, spread
@@ -81,7 +81,9 @@ class Evaluator:
         varied = self.task.varied
         controller = controller_of(config.action_space)
         self.engine = make_engine(self.engine_name, self.scene, controller, varied)
-        self.renderer = make_painter(self.scene, *sides(config.resolution), varied=varied)
+        self.renderer = make_painter(
+            self.scene, *rows_and_columns(config.resolution), varied=varied
+        )
 
     def run(
         self,
@@ -105,7 +107,7 @@ class Evaluator:
         # Always worlds for `width`: neither policy nor compiled physics sees another size.
         filled = [*pairs, *[pairs[-1]] * (self.width - len(pairs))]
         chosen = self.pairs(split, filled)
-        K = intrinsics(self.task.fovy_deg, *sides(config.resolution))
+        K = intrinsics(self.task.fovy_deg, *rows_and_columns(config.resolution))
         ahead = spec.chunk - spec.obs_steps + 1  # steps that a chunk reaches into the future
         agent = Agent(
             self._acting(candidate.policy, candidate.params),
@@ -197,7 +199,7 @@ class Evaluator:
     def sight(self, split: str, pair: int) -> tuple[np.ndarray, np.ndarray]:
         """What a policy sees at a pair's start: picture uint8 [H, W, 3] and ray-map [H, W, 6]."""
         _, cameras, start = self.pairs(split, [pair])
-        size = sides(self.config.resolution)
+        size = rows_and_columns(self.config.resolution)
         K = intrinsics(self.task.fovy_deg, *size)[None]
         view = View(start.qpos, start.geom_size, start.fixtures, K, cameras[:, 0])
         camera = Camera(K[0], cameras[0, 0], *size)

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from jaxcam.data.batches import Dataset
-from jaxcam.data.recorded import Parts
+from jaxcam.data.recorded.parts import Parts
 from jaxcam.models import Policy
 from jaxcam.rays import perturb
 from jaxcam.results.actions import ActionErrors

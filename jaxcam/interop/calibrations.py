@@ -15,7 +15,7 @@ import numpy as np
 from rich.console import Console
 
 from jaxcam.config.names import Conditioning
-from jaxcam.data.recordings import Calibration, Episode, Placement, Recording, Sight
+from jaxcam.data.recorded.recording import Calibration, Episode, Placement, Recording, Sight
 from jaxcam.errors import CameraError, ConfigError, DatasetError, closest
 from jaxcam.files.paths import home
 from jaxcam.interop.cameras.files import CamerasFile, Entry, read_cameras, read_notes

@@ -71,7 +71,7 @@ SAME = 1e-3
 
 
 @dataclass(frozen=True)
-class Episode:
+class ManiskillEpisode:
     """A trajectory, as the JSON file lists it."""
 
     name: str
@@ -88,7 +88,7 @@ class TrajectoryFile:
     env: str
     task: ManiSkillTask
     scene: SapienWorld
-    episodes: list[Episode]
+    episodes: list[ManiskillEpisode]
     about: str
     """Where the demonstrations come from, for the header."""
 
@@ -140,7 +140,7 @@ def read_source(config: ManiskillConfig) -> TrajectoryFile:
     )
 
 
-def _episode(about: Path, index: int, entry: Any) -> Episode:
+def _episode(about: Path, index: int, entry: Any) -> ManiskillEpisode:
     """An entry of the JSON file's episodes."""
     entry = entry if isinstance(entry, dict) else {}
     number, mode = entry.get("episode_id"), entry.get("control_mode")
@@ -156,7 +156,7 @@ def _episode(about: Path, index: int, entry: Any) -> Episode:
         check_mode(mode)
     except DatasetError as error:
         raise DatasetError(f"{where} (traj_{number}): {error}") from error
-    return Episode(f"traj_{number}", mode)
+    return ManiskillEpisode(f"traj_{number}", mode)
 
 
 def open_file(path: Path) -> h5py.File:

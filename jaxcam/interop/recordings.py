@@ -4,7 +4,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from jaxcam.data.recordings import Recording
+from jaxcam.data.recorded.recording import Recording
 from jaxcam.errors import DatasetError
 from jaxcam.interop.calibrations import calibrated
 from jaxcam.interop.droid.reading import read_droid

@@ -7,13 +7,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from rich.console import Console
 
-from jaxcam.config.sizes import sides, size_name
+from jaxcam.config.sizes import rows_and_columns, size_name
 from jaxcam.config.train import TrainConfig
 from jaxcam.data.batches import Dataset
-from jaxcam.data.fitting import keeping_shape
-from jaxcam.data.recorded import HeldOut, Meaning, Parts, make_recorded, parts_of
-from jaxcam.data.recorded_pictures import load_recorded_pictures
-from jaxcam.data.recordings import Recording
+from jaxcam.data.recorded.fitting import keeping_shape
+from jaxcam.data.recorded.parts import HeldOut, Meaning, Parts, make_recorded, parts_of
+from jaxcam.data.recorded.pictures import load_recorded_pictures
+from jaxcam.data.recorded.recording import Recording
 from jaxcam.data.samples import Samples
 from jaxcam.data.splits import NO_VALIDATION
 from jaxcam.devices import has_accelerator, is_first, own
@@ -24,7 +24,7 @@ from jaxcam.files.paths import absolute
 from jaxcam.interop.calibrations import require_calibrated
 from jaxcam.interop.recordings import read_recording
 from jaxcam.models import Policy, PolicySpec, policy_settings
-from jaxcam.reports.action_figures import write_action_figures
+from jaxcam.reports.run_figures import write_action_figures
 from jaxcam.reports.run_page import write_report
 from jaxcam.results.actions import ActionErrors
 from jaxcam.runs.action_errors import errors_file, read_errors
@@ -122,7 +122,7 @@ class Recorded:
         if config.policy == "smolvla":  # which takes squares
             return int(asked)
         sight = next(iter(self.recording.episodes[0].sights.values()))
-        return size_name(*keeping_shape((sight.height, sight.width), sides(asked)[0]))
+        return size_name(*keeping_shape((sight.height, sight.width), rows_and_columns(asked)[0]))
 
     def meaning(self, config: TrainConfig) -> Meaning:
         """What is known of the numbers, by their names and by what the settings say."""
@@ -136,7 +136,7 @@ class Recorded:
 
     def spec(self, config: TrainConfig, chunk: int, obs_steps: int) -> PolicySpec:
         """The sizes of a policy for this dataset."""
-        height, width = sides(config.resolution)
+        height, width = rows_and_columns(config.resolution)
         return PolicySpec(
             action_dim=len(self.recording.action_names),
             proprio_dim=len(self.recording.state_names),
@@ -160,7 +160,7 @@ class Recorded:
         samples = Samples(parts.layout(self.recording), parts.train, ordered=True)
         seeds = [c.seed for c in configs]
         wanted = samples.wanted(seeds, config.steps, config.batch, config.views, obs_steps)
-        size = sides(config.resolution)
+        size = rows_and_columns(config.resolution)
         folder = absolute(config.data_dir)
         pictures = load_recorded_pictures(self.recording, parts, size, folder, console, wanted)
         return make_recorded(self.recording, parts, pictures, self.meaning(config))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from rich.console import Console
 
 from jaxcam.config.datasets import CollectConfig
-from jaxcam.config.sizes import sides
+from jaxcam.config.sizes import rows_and_columns
 from jaxcam.config.train import TrainConfig
 from jaxcam.data.batches import Dataset, make_dataset
 from jaxcam.data.collection import collect
@@ -79,7 +79,7 @@ class Simulated:
 
     def spec(self, config: TrainConfig, chunk: int, obs_steps: int) -> PolicySpec:
         """The sizes of a policy for this task."""
-        height, width = sides(config.resolution)
+        height, width = rows_and_columns(config.resolution)
         return PolicySpec(
             action_dim=action_dim(config.action_space),
             proprio_dim=PROPRIO_DIM,

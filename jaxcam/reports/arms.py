@@ -23,7 +23,7 @@ from jaxcam.results.protocol import Protocol, counted, lacks, protocol_of
 from jaxcam.results.rows import USUAL_WAY, Row
 from jaxcam.results.stats import Estimate, latest_rows, success_rate
 from jaxcam.runs.identity import Settings, changes, identity, plain, read_config
-from jaxcam.runs.manifests import sides, starting_weights
+from jaxcam.runs.manifests import record_of_weights, sides
 from jaxcam.runs.metrics import read_metrics
 from jaxcam.runs.rollouts import of_one_run, read_rows, read_run_rows
 
@@ -374,7 +374,7 @@ def _ways(rows: Iterable[Row]) -> Settings:
 
 def _kind_of_weights(folder: Path, name: str) -> str:
     """What the weights are, and the start of their digest; their path if no record tells."""
-    record = starting_weights(folder)
+    record = record_of_weights(folder)
     if record is None:
         return os.path.normpath(name)
     return f"{record.kind or Path(name).stem} {record.sha256[:8]}".rstrip()

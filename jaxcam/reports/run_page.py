@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from jaxcam.config.sizes import sides
+from jaxcam.config.sizes import rows_and_columns
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
 from jaxcam.files.paths import read_text
@@ -116,7 +116,7 @@ def _facts(
         "Conditioning": config.conditioning,
         "Views": config.views,
         "Action space": config.action_space,
-        "Pictures": f"{' × '.join(map(str, sides(config.resolution)))} pixels",
+        "Pictures": f"{' × '.join(map(str, rows_and_columns(config.resolution)))} pixels",
         "Demonstrations": config.demos,
         "Training steps": f"{trained:,} of {config.steps:,}",
     }

@@ -67,7 +67,7 @@ class StartingWeights:
     sha256: str = ""
 
 
-def starting_weights(run: Path) -> StartingWeights | None:
+def record_of_weights(run: Path) -> StartingWeights | None:
     """What weights a run started from; None where it has no record of any.
 
     Args:

@@ -32,7 +32,7 @@ _ORDER = ("running", "failed", "waiting", "done")
 
 
 @dataclass
-class Entry:
+class SweepEntry:
     """A run of the grid and where it stands."""
 
     run: Planned
@@ -50,7 +50,7 @@ class Entry:
 
 def sweep(
     grid: Grid, executor: Executor, console: Console, *, jobs: int, retries: int
-) -> list[Entry]:
+) -> list[SweepEntry]:
     """Runs what is left to do of a grid.
 
     Args:
@@ -89,17 +89,17 @@ def sweep(
     return entries
 
 
-def _entry(run: Planned) -> Entry:
+def _entry(run: Planned) -> SweepEntry:
     """A run as its folder has it; one that cannot be read has failed, and the others go on."""
     try:
         progress = progress_of(run)
     except (JaxcamError, OSError) as error:
         asked = len(run.steps) * run.pairs
-        return Entry(run, Standing(0, 0, asked, success_rate([])), "failed", reason=str(error))
-    return Entry(run, progress, "done" if progress.done else "waiting")
+        return SweepEntry(run, Standing(0, 0, asked, success_rate([])), "failed", reason=str(error))
+    return SweepEntry(run, progress, "done" if progress.done else "waiting")
 
 
-def _is_free(entry: Entry) -> bool:
+def _is_free(entry: SweepEntry) -> bool:
     """Whether nobody trains a run, such as a child of a sweep that was killed; notes who does."""
     if not (who := holder(entry.run.folder)):
         return True
@@ -109,7 +109,7 @@ def _is_free(entry: Entry) -> bool:
     return False
 
 
-def _look_after(entry: Entry, retries: int) -> None:
+def _look_after(entry: SweepEntry, retries: int) -> None:
     """Bring a running entry up to date; decide what becomes of one that has ended."""
     if entry.state != "running" or entry.job is None:
         return
@@ -150,7 +150,9 @@ def _last_words(log: Path) -> str:
 
 
 @contextlib.contextmanager
-def _shown(console: Console, grid: Grid, entries: Sequence[Entry]) -> Iterator[Callable[[], None]]:
+def _shown(
+    console: Console, grid: Grid, entries: Sequence[SweepEntry]
+) -> Iterator[Callable[[], None]]:
     """A live table on a terminal; elsewhere a line for each change."""
     if not console.is_terminal:
         shown: dict[str, tuple[str, int]] = {}
@@ -174,7 +176,7 @@ def _shown(console: Console, grid: Grid, entries: Sequence[Entry]) -> Iterator[C
         show()
 
 
-def table(grid: Grid, entries: Sequence[Entry], height: int) -> Group:
+def table(grid: Grid, entries: Sequence[SweepEntry], height: int) -> Group:
     """The runs and how far they are: what runs and what failed first, as many as there is room for.
 
     Args:
@@ -202,7 +204,7 @@ def _rate(progress: Standing) -> str:
     return f"{100 * e.value:.1f} % [{100 * e.low:.1f}, {100 * e.high:.1f}]" if e.n else "–"
 
 
-def _result(entry: Entry) -> str:
+def _result(entry: SweepEntry) -> str:
     p = entry.progress
     return f"{p.rollouts} of {p.asked} rollouts, success {_rate(p)}" if p.rollouts else ""
 

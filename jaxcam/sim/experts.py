@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from jaxcam.rays.rotations import matrix_from_rotvec, rotvec_from_matrix
-from jaxcam.sim.types import Aim, Sight
+from jaxcam.sim.types import Aim, ExpertSight
 
 OPEN, CLOSE = -1.0, 1.0
 STEP = 0.02
@@ -79,7 +79,7 @@ class Hand:
             and keeps that orientation.
     """
 
-    def __init__(self, sight: Sight) -> None:
+    def __init__(self, sight: ExpertSight) -> None:
         self._sight = sight
         self._point = sight.grip_position.copy()
         self._rotation = sight.grip_rotation.copy()

@@ -15,7 +15,7 @@ SimulatorName = Literal["mujoco", "sapien"]
 
 
 @dataclass(frozen=True)
-class Part:
+class LazyPart:
     """A class or function of a simulator's modules, imported when it is first used."""
 
     module: str
@@ -36,16 +36,16 @@ class Part:
 class Simulator:
     """What makes worlds of one kind, and what steps and draws them."""
 
-    world: Part
+    world: LazyPart
     """`(task, scene name) -> World`; the same world for the same arguments."""
-    engines: Mapping[EngineName, Part]
+    engines: Mapping[EngineName, LazyPart]
     """`(world, controller, varied) -> Engine`. The first makes demonstrations, and is the fastest
     without an accelerator."""
     accelerated: EngineName
     """The fastest engine with an accelerator."""
-    has_accelerator: Part
+    has_accelerator: LazyPart
     """`() -> bool`: whether this machine has one that this simulator can use."""
-    painter: Part
+    painter: LazyPart
     """`(world, height, width, varied=...) -> Painter`."""
     packages: tuple[str, ...]
     """Distributions whose versions shape what happens in its worlds."""
@@ -53,26 +53,26 @@ class Simulator:
 
 SIMULATORS: Mapping[SimulatorName, Simulator] = {
     "mujoco": Simulator(
-        world=Part("jaxcam.sim.mujoco.scene", "scene_of"),
+        world=LazyPart("jaxcam.sim.mujoco.scene", "scene_of"),
         engines={
-            "native": Part("jaxcam.sim.mujoco.native", "NativeEngine"),
-            "mjx-jax": Part("jaxcam.sim.mujoco.mjx", "MjxEngine", {"impl": "jax"}),
-            "mjx-warp": Part("jaxcam.sim.mujoco.mjx", "MjxEngine", {"impl": "warp"}),
+            "native": LazyPart("jaxcam.sim.mujoco.native", "NativeEngine"),
+            "mjx-jax": LazyPart("jaxcam.sim.mujoco.mjx", "MjxEngine", {"impl": "jax"}),
+            "mjx-warp": LazyPart("jaxcam.sim.mujoco.mjx", "MjxEngine", {"impl": "warp"}),
         },
         accelerated="mjx-warp",
-        has_accelerator=Part("jaxcam.sim.mujoco.machine", "has_accelerator"),
-        painter=Part("jaxcam.sim.mujoco.render", "Renderer"),
+        has_accelerator=LazyPart("jaxcam.sim.mujoco.machine", "has_accelerator"),
+        painter=LazyPart("jaxcam.sim.mujoco.render", "Renderer"),
         packages=("mujoco", "robosuite"),
     ),
     "sapien": Simulator(
-        world=Part("jaxcam.sim.maniskill.scene", "scene_of"),
+        world=LazyPart("jaxcam.sim.maniskill.scene", "scene_of"),
         engines={
-            "sapien": Part("jaxcam.sim.maniskill.engine", "SapienEngine"),
-            "sapien-gpu": Part("jaxcam.sim.maniskill.engine", "SapienEngine", {"on_gpu": True}),
+            "sapien": LazyPart("jaxcam.sim.maniskill.engine", "SapienEngine"),
+            "sapien-gpu": LazyPart("jaxcam.sim.maniskill.engine", "SapienEngine", {"on_gpu": True}),
         },
         accelerated="sapien-gpu",
-        has_accelerator=Part("jaxcam.sim.maniskill.machine", "has_accelerator"),
-        painter=Part("jaxcam.sim.maniskill.render", "SapienPainter"),
+        has_accelerator=LazyPart("jaxcam.sim.maniskill.machine", "has_accelerator"),
+        painter=LazyPart("jaxcam.sim.maniskill.render", "SapienPainter"),
         packages=("mani-skill", "sapien", "torch"),
     ),
 }

@@ -10,7 +10,7 @@ import numpy as np
 from jaxcam.rays import PoseRanges
 from jaxcam.rays.rotations import Array
 from jaxcam.sim.simulators import SIMULATORS, SimulatorName
-from jaxcam.sim.types import Aim, Sight, Start, State, Success
+from jaxcam.sim.types import Aim, ExpertSight, Start, State, Success
 from jaxcam.sim.world import World
 
 START_JOINT_NOISE = 0.02
@@ -63,7 +63,7 @@ class Task(ABC):
         """Whether the task is done in `state`, of episodes that began at `start`: bool [...]."""
 
     @abstractmethod
-    def expert(self, scene: World, sight: Sight) -> Iterator[Aim]:
+    def expert(self, scene: World, sight: ExpertSight) -> Iterator[Aim]:
         """Shows the task: yields an aim per control step, `sight` being renewed in between."""
 
     @abstractmethod

@@ -70,7 +70,7 @@ class View(NamedTuple):
 
 
 @dataclass
-class Sight:
+class ExpertSight:
     """What an expert sees of its world before each control step (world frame, metres)."""
 
     grip_position: np.ndarray

@@ -6,8 +6,8 @@ import pytest
 import robots
 
 from jaxcam.config.train import TrainConfig
-from jaxcam.data.recorded import HeldOut, Meaning, make_recorded, parts_of
-from jaxcam.data.recorded_pictures import load_recorded_pictures
+from jaxcam.data.recorded.parts import HeldOut, Meaning, make_recorded, parts_of
+from jaxcam.data.recorded.pictures import load_recorded_pictures
 from jaxcam.evaluation.recorded import action_errors
 from jaxcam.models import Policy, PolicySpec, make_policy, policy_settings
 from jaxcam.runs.identity import resolve

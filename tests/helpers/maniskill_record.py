@@ -20,7 +20,7 @@ from jaxcam.interop.maniskill_files import ENVIRONMENTS
 from jaxcam.rays.rotations import matrix_from_quaternion, matrix_from_rotvec
 from jaxcam.sim import make_task
 from jaxcam.sim.maniskill import kinematics
-from jaxcam.sim.types import Aim, Sight, Start
+from jaxcam.sim.types import Aim, ExpertSight, Start
 
 
 class Show:
@@ -39,7 +39,7 @@ class Show:
             fixtures[row] = self.inner.scene.actors[name].pose.raw_pose[0]
         qpos, position, rotation = self.look()
         start = Start(qpos, np.zeros((0, 3)), fixtures)
-        sight = Sight(position, rotation, qpos, np.random.default_rng(abs(seed)), start)
+        sight = ExpertSight(position, rotation, qpos, np.random.default_rng(abs(seed)), start)
         for aim in self.task.expert(self.world, sight):
             aim = Aim(position, rotation, aim.gripper) if seed < 0 else aim
             self.env.step(self.action(aim, sight))
@@ -54,7 +54,7 @@ class Show:
         rotation = matrix_from_quaternion(tcp.q[0].numpy().astype(float))
         return qpos, tcp.p[0].numpy().astype(float), rotation
 
-    def action(self, aim: Any, sight: Sight) -> np.ndarray:
+    def action(self, aim: Any, sight: ExpertSight) -> np.ndarray:
         """An aim in the environment's control mode."""
         turn = self.base[:3, :3]
         position, rotation = turn.T @ (aim.position - self.base[:3, 3]), turn.T @ aim.rotation

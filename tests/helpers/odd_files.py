@@ -39,9 +39,9 @@ def replaced(value, path, odd):
 def odd_texts(objects):
     """A file's text with odd values at places that are drawn, and other texts instead of it."""
     drawn = random.Random(0)
-    every = [place for place in places(objects) if place]
+    all_places = [place for place in places(objects) if place]
     for _ in range(COUNT):
-        yield written(replaced(objects, drawn.choice(every), drawn.choice(ODD)))
+        yield written(replaced(objects, drawn.choice(all_places), drawn.choice(ODD)))
     yield from TEXTS
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxcam.data.recordings import Episode, Recording, Sight
+from jaxcam.data.recorded.recording import Episode, Recording, Sight
 
 STEPS = (5, 4, 6)
 """Lengths of its episodes."""

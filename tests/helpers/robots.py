@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxcam.data.recordings import Calibration, Episode, Recording, Sight
+from jaxcam.data.recorded.recording import Calibration, Episode, Recording, Sight
 from jaxcam.rays import look_at
 from jaxcam.rays.lens import pack
 

@@ -10,7 +10,7 @@ from odd_files import COUNT, flipped, odd_texts
 from recorded import HEIGHT, STEPS, WIDTH, recording
 from rich.console import Console
 
-from jaxcam.data.recordings import Calibration, Placement
+from jaxcam.data.recorded.recording import Calibration, Placement
 from jaxcam.errors import CameraError, ConfigError, DatasetError, JaxcamError
 from jaxcam.interop.calibrations import calibrated, require_calibrated, sources
 from jaxcam.rays import Camera, lens, look_at, opengl_from_opencv
@@ -260,7 +260,9 @@ def test_half_a_calibration_is_told(tmp_path):
 def test_names_of_lerobot_may_be_in_full(tmp_path):
     for name in ("front", "observation.images.front"):
         path = write(tmp_path, {"format": 1, "views": {name: FRONT}})
-        require_calibrated(calibrated(recording(views=("front",)), path), "late")
+        result = calibrated(recording(views=("front",)), path)
+        require_calibrated(result, "late")
+        assert all(e.sights["front"].calibration for e in result.episodes)
 
 
 def turned(**changes):

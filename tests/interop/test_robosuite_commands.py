@@ -137,8 +137,8 @@ def test_gripper_commands_that_fingers_do_not_follow_are_refused(tmp_path, files
     path = write(tmp_path / "bad.hdf5", spoil_actions(recorded(version), how))
     with pytest.raises(DatasetError, match="demo_0: its fingers do not go where commands send"):
         imported(path)
-    found = imported(path, actions="states", validation=0).train
-    for demo, right in zip(found, wanted, strict=True):
+    by_states = imported(path, actions="states", validation=0).train
+    for demo, right in zip(by_states, wanted, strict=True):
         assert demo.actions[0, 6] == -1
         assert abs(np.argmax(demo.actions[:, 6] > 0) - np.argmax(right.actions[:, 6] > 0)) <= 2
 

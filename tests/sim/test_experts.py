@@ -10,7 +10,7 @@ from jaxcam.sim.experts import LEVEL, STEP, TURN, Hand, easy_grip, funnel
 from jaxcam.sim.mujoco.native import NativeEngine
 from jaxcam.sim.tasks.pick_place_can import NEAR
 from jaxcam.sim.tasks.square import BASE_HALF_SIZE, NUT_HALF_HEIGHT
-from jaxcam.sim.types import Sight
+from jaxcam.sim.types import ExpertSight
 
 SEEDS = range(42, 62)
 LONGEST = {"lift": 100, "pick_place_can": 150, "square": 260}
@@ -61,7 +61,7 @@ def test_what_is_placed_stands_where_it_belongs(shown):
 def make_sight(rotation=None):
     rotation = np.diag([1.0, -1.0, -1.0]) if rotation is None else rotation
     rng = np.random.default_rng(0)
-    return Sight(np.array([0.0, 0, 1]), rotation, np.zeros(16), rng, start=None)  # type: ignore[arg-type]
+    return ExpertSight(np.array([0.0, 0, 1]), rotation, np.zeros(16), rng, start=None)  # type: ignore[arg-type]
 
 
 def test_a_turn_is_bounded_and_arrives():

@@ -144,7 +144,7 @@ def checked_pose(pose: np.ndarray, where: str, axes: Axes = "opencv") -> np.ndar
     """Poses that are rigid, in OpenCV axes; written with few digits, their rotations are mended.
 
     Args:
-        pose: [4, 4] or [T, 4, 4].
+        pose: Of one camera, [4, 4] or [T, 4, 4].
         where: Whose, for messages.
         axes: What the camera's axes are.
 

@@ -9,7 +9,7 @@ In LeRobot's form of DROID they are columns, `camera_extrinsics.<view>`.
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxcam.data.recordings import Placement
+from jaxcam.data.recorded.recording import Placement
 from jaxcam.errors import CameraError
 from jaxcam.rays import check_pose
 
@@ -23,7 +23,7 @@ def poses_of(numbers: np.ndarray, where: str) -> np.ndarray:
     """Poses of DROID's numbers.
 
     Args:
-        numbers: [..., 6], metres and radians.
+        numbers: Of the poses, [..., 6], metres and radians.
         where: Whose they are, for messages.
 
     Returns:
@@ -60,7 +60,7 @@ def placement_of(numbers: np.ndarray, where: str, source: str) -> Placement | No
     """Where a camera stood in an episode, by DROID's numbers.
 
     Args:
-        numbers: [6], or [T, 6] for each picture; what stands still becomes one pose.
+        numbers: Of a camera, [6], or [T, 6] for each picture; what stands still becomes one pose.
         where: Whose they are, for messages.
         source: Where they are from, in words.
 

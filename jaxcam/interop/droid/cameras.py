@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 
 from jaxcam.data.hdf5 import group_at, numbers
-from jaxcam.data.recordings import Placement
+from jaxcam.data.recorded.recording import Placement
 from jaxcam.errors import DatasetError
 from jaxcam.interop.cameras.optics import Optics
 from jaxcam.interop.cameras.poses import real_numbers

@@ -25,7 +25,7 @@ import numpy as np
 from rich.console import Console
 
 from jaxcam.data.hdf5 import group_at, numbers, open_hdf5, reading
-from jaxcam.data.recordings import Episode, Recording, Sight
+from jaxcam.data.recorded.recording import Episode, Recording, Sight
 from jaxcam.errors import DatasetError
 from jaxcam.interop.droid.annotations import (
     Annotations,
@@ -35,7 +35,7 @@ from jaxcam.interop.droid.annotations import (
     read_metadata,
 )
 from jaxcam.interop.droid.cameras import VIEWS, OpenEpisode, placement, roles_of
-from jaxcam.interop.droid.videos import Video, decode, open_video
+from jaxcam.interop.droid.videos import Video, decode_video, open_video
 
 Actions = Literal["joint_position", "cartesian_position", "joint_velocity", "cartesian_velocity"]
 """Which of the actions that DROID records; each is followed by the gripper's position."""
@@ -158,7 +158,7 @@ def _episode(
             VIEWS[roles[serial]]: Sight(
                 video.height,
                 video.width,
-                partial(decode, video, steps, where),
+                partial(decode_video, video, steps, where),
                 placement=placement(episode, serial, roles[serial], video),
             )
             for serial, video in used.items()

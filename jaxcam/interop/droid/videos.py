@@ -57,7 +57,7 @@ def open_video(path: Path) -> Video:
     return Video(path, height, width, length or None, identity_of_video(path))
 
 
-def decode(video: Video, steps: np.ndarray, where: str) -> Iterator[np.ndarray]:
+def decode_video(video: Video, steps: np.ndarray, where: str) -> Iterator[np.ndarray]:
     """The pictures of some steps, in order; uint8 [height, width, 3], top row first.
 
     Args:

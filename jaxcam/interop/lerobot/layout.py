@@ -59,7 +59,10 @@ def config_of(settings: Any, spec: PolicySpec, ensemble: float = 0.0) -> dict[st
             settings = replace(settings, encoder_per_view=False)  # it is the same there
         theirs = _file_of(name, settings, spec, ensemble)
         back = settings_of(theirs, settings.image_scaling)
-        wrong = [f"{key} is {ours}, there {value}" for key, ours, value in unlike(settings, back)]
+        wrong = [
+            f"{key} is {ours}, there {value}"
+            for key, ours, value in unlike_settings(settings, back)
+        ]
         if spec_of(theirs) != spec:
             wrong.append(f"its sizes are {spec}, there {spec_of(theirs)}")
     if wrong:
@@ -70,7 +73,9 @@ def config_of(settings: Any, spec: PolicySpec, ensemble: float = 0.0) -> dict[st
     return theirs.written()
 
 
-def unlike(ours: Any, theirs: Any, free: frozenset[str] = NOT_THERE) -> list[tuple[str, Any, Any]]:
+def unlike_settings(
+    ours: Any, theirs: Any, free: frozenset[str] = NOT_THERE
+) -> list[tuple[str, Any, Any]]:
     """Settings of two policies of one kind that differ.
 
     Args:
@@ -248,13 +253,13 @@ def _diffusion_misfits(theirs: Any) -> list[str]:
 
 def _smolvla_misfits(theirs: Any) -> list[str]:
     """Values of SmolVLA's settings that only some of ours have."""
-    wrong, layers, every = [], theirs.num_vlm_layers, theirs.self_attn_every_n_layers
+    wrong, layers, distance = [], theirs.num_vlm_layers, theirs.self_attn_every_n_layers
     if theirs.n_action_steps > theirs.chunk_size:
         wrong.append(f"n_action_steps is {theirs.n_action_steps}, more than chunk_size")
     if theirs.attention_mode not in ("cross_attn", "self_attn"):
         wrong.append(f"attention_mode is {short(theirs.attention_mode)}")
-    elif theirs.attention_mode == "cross_attn" and every != 2:
-        wrong.append(f"self_attn_every_n_layers is {every}, not 2")
+    elif theirs.attention_mode == "cross_attn" and distance != 2:
+        wrong.append(f"self_attn_every_n_layers is {distance}, not 2")
     elif theirs.attention_mode == "cross_attn" and layers % 2:
         wrong.append(f"num_vlm_layers is {layers}, which is odd")
     if theirs.num_expert_layers > 0 and theirs.num_expert_layers != layers:

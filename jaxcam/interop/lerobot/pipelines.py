@@ -16,7 +16,13 @@ import numpy as np
 
 from jaxcam.config.fields import short
 from jaxcam.errors import CheckpointError
-from jaxcam.interop.lerobot.records import Mode, SmolVlaFile, features, read_json, record_of
+from jaxcam.interop.lerobot.records import (
+    Mode,
+    SmolVlaFile,
+    features,
+    read_checkpoint_json,
+    record_of,
+)
 from jaxcam.models.fusion import IMAGENET_MEAN, IMAGENET_STD
 from jaxcam.models.normalization import LEROBOT_STD_FLOOR
 from jaxcam.models.smolvla.config import MOST_TOKENS
@@ -80,7 +86,7 @@ class Nothing:
 
 
 @dataclass(frozen=True)
-class Device:
+class DeviceStep:
     """Settings of the step that moves arrays."""
 
     device: str | None = None
@@ -102,7 +108,7 @@ class Tokenizer:
 STEPS: dict[str, tuple[type, dict[str, tuple[Any, ...]]]] = {
     "rename_observations_processor": (Renaming, {"rename_map": ({},)}),
     "to_batch_processor": (Nothing, {}),
-    "device_processor": (Device, {"float_dtype": (None, "float32")}),
+    "device_processor": (DeviceStep, {"float_dtype": (None, "float32")}),
 }
 """Steps that leave numbers alone as long as the settings that are named have one of these values;
 others may have any."""
@@ -184,7 +190,7 @@ def read_scaling(folder: Path, name: str) -> Scaling:
     scales = "normalizer_processor" if name == BEFORE else "unnormalizer_processor"
     known = STEPS | WORDS | {scales: _SCALES}
     scaling: list[tuple[Step, Any]] = []
-    for listed in record_of(Pipeline, read_json(path), str(path)).steps:
+    for listed in record_of(Pipeline, read_checkpoint_json(path), str(path)).steps:
         if isinstance(listed, dict):
             listed = {"class_name" if k == "class" else k: v for k, v in listed.items()}
         step = record_of(Step, listed, f"a step of {path}")

@@ -34,7 +34,7 @@ from jaxcam.interop.lerobot.pipelines import (
     write_json,
     write_pipelines,
 )
-from jaxcam.interop.lerobot.records import PolicyFile, read_json, record_of
+from jaxcam.interop.lerobot.records import PolicyFile, read_checkpoint_json, record_of
 from jaxcam.models import Params, PolicySpec, make_policy
 from jaxcam.models.act.transformer import sine_table
 from jaxcam.models.normalization import (
@@ -216,7 +216,7 @@ def read_foreign(folder: Path, config: TrainConfig | None = None) -> Foreign:
             task.
         ConfigError: A file of its is not of the form that LeRobot writes.
     """
-    described = describe(folder)
+    described = describe_checkpoint(folder)
     theirs, spec, settings = described.theirs, described.spec, described.settings
     counterpart, stats = COUNTERPARTS[theirs.type], described.stats
     if config is not None:
@@ -263,7 +263,7 @@ class Described(NamedTuple):
     stats: Arrays
 
 
-def describe(folder: Path) -> Described:
+def describe_checkpoint(folder: Path) -> Described:
     """What stands beside the weights of a LeRobot checkpoint that can be made a run.
 
     Args:
@@ -281,7 +281,7 @@ def describe(folder: Path) -> Described:
             f"with its weights: python -m jaxcam.train --policy {name} --preset lerobot "
             f"--weights {folder}"
         )
-    with named(folder):
+    with naming_folder(folder):
         spec = spec_of(theirs)
         settings = settings_of(theirs, image_scaling_of(folder, theirs.images))
         sizes = {STATE: spec.proprio_dim, ACTION: spec.action_dim}
@@ -299,19 +299,19 @@ def read_checkpoint(folder: Path) -> PolicyFile:
         CheckpointError: It is none, or of a policy or a LeRobot that is unknown here.
         ConfigError: Its file is not of the form that LeRobot writes.
     """
-    content = read_json(folder / "config.json")
+    content = read_checkpoint_json(folder / "config.json")
     if not (folder / f"{BEFORE}.json").exists():
         raise CheckpointError(
             f"{folder} has no {BEFORE}.json: it is from before LeRobot 0.4, or not whole. LeRobot "
             "0.4 and later migrate it: python -m lerobot.processor.migrate_policy_normalization "
             f"--pretrained-path {folder}"
         )
-    with named(folder):
+    with naming_folder(folder):
         return policy_file(content)
 
 
 @contextmanager
-def named(folder: Path) -> Iterator[None]:
+def naming_folder(folder: Path) -> Iterator[None]:
     """Errors say in which folder."""
     try:
         yield
@@ -367,8 +367,8 @@ def read_about(folder: Path) -> About:
     """
     if not (folder / "jaxcam.json").exists():
         return About()
-    with named(folder):
-        return record_of(About, read_json(folder / "jaxcam.json"), "jaxcam.json")
+    with naming_folder(folder):
+        return record_of(About, read_checkpoint_json(folder / "jaxcam.json"), "jaxcam.json")
 
 
 def _check_fit(folder: Path, config: TrainConfig, spec: PolicySpec) -> None:

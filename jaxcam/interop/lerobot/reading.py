@@ -14,7 +14,7 @@ import numpy as np
 from rich.console import Console
 
 from jaxcam.console.progress import progress
-from jaxcam.data.recordings import Calibration, Episode, Placement, Recording, Sight
+from jaxcam.data.recorded.recording import Calibration, Episode, Placement, Recording, Sight
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.files.paths import absolute
 from jaxcam.interop.cameras import six_numbers

@@ -285,7 +285,7 @@ def record_of(kind: type[C], values: Any, what: str) -> C:
         raise ConfigError(f"{start}{error}") from error
 
 
-def read_json(path: Path) -> dict[str, Any]:
+def read_checkpoint_json(path: Path) -> dict[str, Any]:
     """What a JSON file of a checkpoint says.
 
     Raises:

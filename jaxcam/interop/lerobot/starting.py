@@ -13,14 +13,14 @@ from jaxcam.config.fields import short
 from jaxcam.errors import CheckpointError
 from jaxcam.files.paths import absolute
 from jaxcam.interop.lerobot.counterparts import COUNTERPARTS
-from jaxcam.interop.lerobot.layout import OF_THE_RUN, settings_of, unlike
+from jaxcam.interop.lerobot.layout import OF_THE_RUN, settings_of, unlike_settings
 from jaxcam.interop.lerobot.pipelines import (
     AFTER,
     BEFORE,
     image_scaling_of,
     read_scaling,
 )
-from jaxcam.interop.lerobot.policy import named, read_checkpoint
+from jaxcam.interop.lerobot.policy import naming_folder, read_checkpoint
 from jaxcam.models import FAMILIES, Policy
 from jaxcam.models.weights.load import Weights, read_weights
 
@@ -56,13 +56,13 @@ def _check_alike(folder: Path, name: str | None, policy: Policy) -> None:
     if theirs.type != ours:
         raise CheckpointError(f"{folder} is of policy {theirs.type}, the run of {ours}.")
     wanted, images = dict(COUNTERPARTS[theirs.type].scaling), None
-    with named(folder):
+    with naming_folder(folder):
         if hasattr(policy.config, "image_scaling"):
             del wanted["VISUAL"]  # there are several ways
             images = image_scaling_of(folder, theirs.images)
         _check_modes(folder, theirs.normalization_mapping, wanted)
         settings = settings_of(replace(theirs, use_amp=False), images)  # the run's own arithmetic
-    if wrong := unlike(policy.config, settings, OF_THE_RUN):
+    if wrong := unlike_settings(policy.config, settings, OF_THE_RUN):
         listed = "; ".join(f"{key} is {short(there)} there" for key, _, there in wrong)
         given = (f"{key}={there}".replace(" ", "") for key, _, there in wrong)
         changes = " ".join(map(shlex.quote, given))

@@ -9,7 +9,7 @@ from jaxcam.rays.rotations import Array
 from jaxcam.sim.experts import CLOSE, OPEN, Hand
 from jaxcam.sim.mujoco.objects import Box
 from jaxcam.sim.mujoco.table import TABLE_TOP, TableTask
-from jaxcam.sim.types import Aim, Sight, Start, State
+from jaxcam.sim.types import Aim, ExpertSight, Start, State
 from jaxcam.sim.world import World
 
 HALF_SIZE = (0.020, 0.022)
@@ -52,7 +52,7 @@ class Lift(TableTask):
         """The cube's centre is more than 4 cm above the table."""
         return state.qpos[..., scene.qpos_of("cube") + 2] > TABLE_TOP + LIFTED
 
-    def expert(self, scene: World, sight: Sight) -> Iterator[Aim]:
+    def expert(self, scene: World, sight: ExpertSight) -> Iterator[Aim]:
         """Down a funnel onto the cube, close, up; the gripper keeps the orientation it starts with.
 
         The farther off to the side the gripper is, the higher it stays, so that it neither hits

@@ -9,7 +9,7 @@ from jaxcam.rays import POSE_RANGES, PoseRanges
 from jaxcam.rays.rotations import Array, matrix_from_quaternion, matrix_from_rotvec
 from jaxcam.sim.experts import CLOSE, OPEN, Hand, pushing_grip
 from jaxcam.sim.maniskill.task import ManiSkillTask
-from jaxcam.sim.types import Aim, Sight, Start, State
+from jaxcam.sim.types import Aim, ExpertSight, Start, State
 from jaxcam.sim.world import World
 
 HALF_LENGTH, HALF_WIDTH = 0.12, 0.025
@@ -61,7 +61,7 @@ class LiftUpright(ManiSkillTask):
         w, x, y, z = (state.qpos[..., peg + 3 + i] for i in range(4))
         return abs(2 * (x * z - w * y)) > UPRIGHT
 
-    def expert(self, scene: World, sight: Sight) -> Iterator[Aim]:
+    def expert(self, scene: World, sight: ExpertSight) -> Iterator[Aim]:
         """Over the peg's nearer half, down, close, up, turn towards the robot, down, open.
 
         Turned the other way, the wrist would be at the end of its range.

@@ -9,7 +9,7 @@ from jaxcam.rays.rotations import Array, array_namespace
 from jaxcam.sim.experts import CLOSE, OPEN, Hand, easy_grip, funnel
 from jaxcam.sim.mujoco.objects import Can, CanGhost, prism
 from jaxcam.sim.mujoco.table import TABLE_TOP, TableTask
-from jaxcam.sim.types import Aim, Sight, Start, State
+from jaxcam.sim.types import Aim, ExpertSight, Start, State
 from jaxcam.sim.world import World
 
 RADIUS, HALF_HEIGHT = 0.026, 0.040
@@ -64,7 +64,7 @@ class PickPlaceCan(TableTask):
         height = state.qpos[..., can + 2] - TABLE_TOP
         return (xp.sqrt((aside**2).sum(-1)) <= NEAR) & (height > 0) & (height < LOW)
 
-    def expert(self, scene: World, sight: Sight) -> Iterator[Aim]:
+    def expert(self, scene: World, sight: ExpertSight) -> Iterator[Aim]:
         """Over the can, down, close, up, over the target, down, open, away."""
         can = slice(scene.qpos_of("can"), scene.qpos_of("can") + 3)
         target = sight.start.fixtures[2, :3] - [0, 0, PRESS]

@@ -9,7 +9,7 @@ from jaxcam.rays import POSE_RANGES, PoseRanges
 from jaxcam.rays.rotations import Array
 from jaxcam.sim.experts import CLOSE, Hand, pushing_grip
 from jaxcam.sim.maniskill.task import ManiSkillTask, goal_pose, is_over_goal
-from jaxcam.sim.types import Aim, Sight, Start, State
+from jaxcam.sim.types import Aim, ExpertSight, Start, State
 from jaxcam.sim.world import World
 
 HALF_SIZE = 0.02
@@ -61,7 +61,7 @@ class Push(ManiSkillTask):
         low = state.qpos[..., cube + 2] < HALF_SIZE + LOW
         return is_over_goal(state.qpos[..., cube : cube + 2], start) & low
 
-    def expert(self, scene: World, sight: Sight) -> Iterator[Aim]:
+    def expert(self, scene: World, sight: ExpertSight) -> Iterator[Aim]:
         """Behind the cube, down, and on until it is over the target's middle; fingers closed."""
         cube = slice(scene.qpos_of("cube"), scene.qpos_of("cube") + 2)
         target = sight.start.fixtures[2, :2]

@@ -9,7 +9,7 @@ from jaxcam.rays import POSE_RANGES, PoseRanges
 from jaxcam.rays.rotations import Array
 from jaxcam.sim.experts import CLOSE, Hand, pushing_grip
 from jaxcam.sim.maniskill.task import ManiSkillTask, goal_pose, is_over_goal
-from jaxcam.sim.types import Aim, Sight, Start, State
+from jaxcam.sim.types import Aim, ExpertSight, Start, State
 from jaxcam.sim.world import World
 
 BALL = 0.035
@@ -58,7 +58,7 @@ class RollBall(ManiSkillTask):
         ball = scene.qpos_of("ball")
         return is_over_goal(state.qpos[..., ball : ball + 2], start)
 
-    def expert(self, scene: World, sight: Sight) -> Iterator[Aim]:
+    def expert(self, scene: World, sight: ExpertSight) -> Iterator[Aim]:
         """Behind the ball, down, push towards the target, and watch; fingers closed."""
         at, base = scene.qpos_of("ball"), scene.world_from_base[:3, 3]
         target = sight.start.fixtures[2, :2]

@@ -9,7 +9,7 @@ from jaxcam.rays.rotations import Array, array_namespace, matrix_from_rotvec
 from jaxcam.sim.experts import CLOSE, OPEN, Hand, easy_grip, funnel
 from jaxcam.sim.mujoco.objects import Compound, Piece, SquareNut
 from jaxcam.sim.mujoco.table import TABLE_TOP, TableTask
-from jaxcam.sim.types import Aim, Sight, Start, State
+from jaxcam.sim.types import Aim, ExpertSight, Start, State
 from jaxcam.sim.world import World
 
 NUT_HALF_HEIGHT, HANDLE = 0.010, 0.054
@@ -98,7 +98,7 @@ class Square(TableTask):
             around = around & (distance > AWAY)
         return around & (middle[..., 2] < TABLE_TOP + LOW)
 
-    def expert(self, scene: World, sight: Sight) -> Iterator[Aim]:
+    def expert(self, scene: World, sight: ExpertSight) -> Iterator[Aim]:
         """Turn over the handle, down, close, up, over the peg, down around it, open, away."""
         at, peg = scene.qpos_of("nut"), scene.qpos_of("peg")
         nut, base = slice(at, at + 3), scene.world_from_base[:3, 3]

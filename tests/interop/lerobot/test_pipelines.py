@@ -118,8 +118,8 @@ def actions(folder, known={}):  # noqa: B006
     key = (foreign.settings, foreign.spec, foreign.weights.sha256, numbers)
     if key not in known:
         policy = make_policy(foreign.settings, foreign.spec, foreign.stats)
-        seen = observation(foreign.spec.obs_steps, foreign.spec.views)
-        chunk = policy.act(foreign.params, seen, None)
+        observed = observation(foreign.spec.obs_steps, foreign.spec.views)
+        chunk = policy.act(foreign.params, observed, None)
         known[key] = np.asarray(chunk)[0, : policy.execute]
     return known[key]
 

@@ -10,7 +10,7 @@ from lerobot_folders import CONFIGS, config_of, edited, write_folder
 from jaxcam.errors import CheckpointError, ConfigError
 from jaxcam.interop.lerobot.counterparts import COUNTERPARTS, policy_file
 from jaxcam.interop.lerobot.layout import settings_of, spec_of
-from jaxcam.interop.lerobot.policy import describe, read_foreign
+from jaxcam.interop.lerobot.policy import describe_checkpoint, read_foreign
 from jaxcam.interop.lerobot.records import MOST_BYTES
 
 safetensors = pytest.importorskip("safetensors.numpy")
@@ -193,7 +193,7 @@ def test_a_feature_of_another_kind_is_not_scaled_as_an_action(tmp_path):
         content["steps"][3]["config"]["features"]["observation.state"]["type"] = "ACTION"
 
     edited(folder, "policy_preprocessor.json", as_action)
-    assert set(describe(folder).stats["proprio_std"]) == {1}
+    assert set(describe_checkpoint(folder).stats["proprio_std"]) == {1}
 
 
 @pytest.mark.parametrize(("change", "why"), [
@@ -214,7 +214,7 @@ def test_pipelines_of_another_form_are_refused(tmp_path, change, why):
     folder = write_folder(tmp_path / "a", "act")
     edited(folder, "policy_preprocessor.json", change)
     with pytest.raises(REFUSED, match=why):
-        describe(folder)
+        describe_checkpoint(folder)
 
 
 def test_statistics_that_are_none_are_refused(tmp_path):
@@ -223,14 +223,14 @@ def test_statistics_that_are_none_are_refused(tmp_path):
     for content in (b"", b"\x00" * 64, b"version https://git-lfs.github.com/spec/v1\n"):
         file.write_bytes(content)
         with pytest.raises(CheckpointError, match=r"policy_preprocessor.*\.safetensors"):
-            describe(folder)
+            describe_checkpoint(folder)
 
 
 def test_healthy_folders_are_described(tmp_path):
     """So that what the others refuse is refused for what they changed."""
     for kind in ("act", "diffusion"):
-        described = describe(write_folder(tmp_path / kind, kind))
+        described = describe_checkpoint(write_folder(tmp_path / kind, kind))
         assert described.settings.image_scaling == "imagenet"
         assert json.dumps(described.theirs.written())
     with pytest.raises(CheckpointError, match="--policy smolvla --preset lerobot"):
-        describe(write_folder(tmp_path / "smolvla", "smolvla"))
+        describe_checkpoint(write_folder(tmp_path / "smolvla", "smolvla"))

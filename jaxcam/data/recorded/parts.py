@@ -15,9 +15,9 @@ import numpy as np
 
 from jaxcam.config.sizes import size_name
 from jaxcam.data.batches import Dataset
-from jaxcam.data.fitting import Fit, fit
 from jaxcam.data.pictures import Pictures
-from jaxcam.data.recordings import Calibration, Episode, Recording
+from jaxcam.data.recorded.fitting import Fit, fit
+from jaxcam.data.recorded.recording import Calibration, Episode, Recording
 from jaxcam.data.samples import Layout
 from jaxcam.errors import ConfigError, closest
 

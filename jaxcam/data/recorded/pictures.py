@@ -13,8 +13,8 @@ from jaxcam.config.sizes import size_name
 from jaxcam.console.progress import progress
 from jaxcam.data.caches import Cache
 from jaxcam.data.pictures import Pictures
-from jaxcam.data.recorded import Parts, fits_of
-from jaxcam.data.recordings import Recording
+from jaxcam.data.recorded.parts import Parts, fits_of
+from jaxcam.data.recorded.recording import Recording
 from jaxcam.errors import DatasetError
 from jaxcam.files.locks import exclusive
 

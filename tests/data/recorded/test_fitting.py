@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxcam.data.fitting import fit, keeping_shape
+from jaxcam.data.recorded.fitting import fit, keeping_shape
 
 K = np.array([[100.0, 0, 64], [0, 110, 47], [0, 0, 1]])
 
