@@ -16,6 +16,8 @@ ActionSpace = Literal[
 ]  # fmt: skip
 ActionChoice = Literal[ActionSpace, "native"]
 """`native` is what a recorded dataset's actions are, whatever that is."""
+ActionMeaning = Literal["unknown", "eef_abs", "eef_delta", "joint_abs", "joint_delta"]
+"""What the actions of a recorded dataset are, as far as anybody says."""
 Rotations = Literal["nominal", "world"]
 CommandSource = Literal["commands", "deltas", "absolute", "states"]
 ScheduleName = Literal["constant", "cosine", "cosine_from_start"]

@@ -21,6 +21,7 @@ from jaxcam.config.fields import (
 from jaxcam.config.flags import PRESET, FromPreset, default
 from jaxcam.config.names import (
     ActionChoice,
+    ActionMeaning,
     Conditioning,
     EngineChoice,
     LoggerName,
@@ -149,6 +150,9 @@ class TrainConfig:
     """JSON file that says where the cameras of a recorded dataset stood."""
     grip: Annotated[str, default("by its names")] = ""
     """Where a recorded dataset's state has the grip's position, such as observation.state[0:3]."""
+    action_is: ActionMeaning = "unknown"
+    """What a recorded dataset's actions are. With eef_abs and eef_delta, whose first three numbers
+    are metres in the base's frame, the report draws where predicted actions lead."""
     hold_out_view: Annotated[tuple[str, ...], default("none")] = ()
     """Views of a recorded dataset that training does not see, to be judged on."""
     hold_out_episodes: Annotated[tuple[int, ...], default("--validation of them")] = ()

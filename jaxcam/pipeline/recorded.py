@@ -18,14 +18,17 @@ from jaxcam.data.samples import Samples
 from jaxcam.data.splits import NO_VALIDATION
 from jaxcam.devices import has_accelerator, is_first, own
 from jaxcam.errors import ConfigError
+from jaxcam.evaluation.grip_ways import grip_ways
 from jaxcam.evaluation.recorded import action_errors
 from jaxcam.files.jsonl import append_jsonl
 from jaxcam.files.paths import absolute
 from jaxcam.interop.calibrations import require_calibrated
 from jaxcam.interop.recordings import read_recording
 from jaxcam.models import Policy, PolicySpec, policy_settings
+from jaxcam.reports.camera_figures import ways_picture
 from jaxcam.reports.run_figures import write_action_figures
 from jaxcam.reports.run_page import write_report
+from jaxcam.reports.style import save
 from jaxcam.results.actions import ActionErrors
 from jaxcam.runs.action_errors import errors_file, read_errors
 from jaxcam.runs.folder import RunDir
@@ -186,6 +189,10 @@ class Recorded:
             errors_file(run.path).parent.mkdir(exist_ok=True)
             append_jsonl(errors_file(run.path), *(row.to_json() for row in rows))
         write_action_figures(run.path / "plots", read_metrics(run.path), rows)
+        if (grip := self.meaning(config).grip) is not None:
+            ways = grip_ways(policy, params, data, parts, grip, config.action_is)
+            if ways:
+                save(ways_picture(ways), run.path / "pictures" / "grip_ways.png")
         report = write_report(run.path)
         if console:
             for row in rows:

@@ -1,6 +1,7 @@
 """Figures about cameras: success over the sphere of directions, poses in space, ray-maps."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,6 +13,25 @@ from matplotlib.lines import Line2D
 from jaxcam.reports.style import BLUE, GREY, RATE, VERMILION, percent, side_by_side, styled
 from jaxcam.results.rows import Row
 from jaxcam.results.stats import wilson
+
+
+@dataclass(frozen=True)
+class GripWay:
+    """Ways of the grip in one picture.
+
+    Attributes:
+        picture: What the camera saw, uint8 [H, W, 3].
+        recorded: Pixels (u, v) of where the grip was at that moment and in the steps of a chunk
+            [T + 1, 2]; NaN where the camera does not see it.
+        predicted: Pixels of where the predicted chunk leads, likewise; None where nobody says what
+            actions mean.
+        caption: Which episodes and cameras these are.
+    """
+
+    picture: np.ndarray = field(repr=False)
+    recorded: np.ndarray = field(repr=False)
+    predicted: np.ndarray | None = field(repr=False)
+    caption: str
 
 
 @styled
@@ -155,6 +175,34 @@ def ray_picture(image: np.ndarray, rays: np.ndarray) -> Figure:
         axes.imshow(picture)
         axes.set_title(title)
         axes.set_axis_off()
+    return figure
+
+
+@styled
+def ways_picture(ways: Sequence[GripWay]) -> Figure:
+    """Pictures with the way that the grip took and the one that a policy would have sent it.
+
+    Args:
+        ways: At least one, with pictures of one size.
+    """
+    columns = min(3, len(ways))
+    rows = -(-len(ways) // columns)
+    height, width = ways[0].picture.shape[:2]
+    figure = Figure(figsize=(2.7 * columns, 2.7 * rows * height / width + 0.35 * rows))
+    grid = figure.subplots(rows, columns, squeeze=False)
+    for axes in grid.ravel():
+        axes.set_axis_off()
+    for axes, way in zip(grid.ravel(), ways, strict=False):
+        axes.imshow(way.picture, extent=(0, width, height, 0))
+        lines = ((way.recorded, BLUE, "recorded"), (way.predicted, VERMILION, "predicted"))
+        for line, colour, label in lines:
+            if line is not None:
+                axes.plot(*line.T, color=colour, linewidth=1.6, label=label, marker="o",
+                          markersize=2)  # fmt: skip
+        axes.set_xlim(0, width)
+        axes.set_ylim(height, 0)
+        axes.set_title(way.caption, fontsize=8)
+    grid[0, 0].legend(fontsize=6, loc="upper left")
     return figure
 
 

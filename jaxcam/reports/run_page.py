@@ -34,9 +34,11 @@ _PLOTS = {
     "errors_by_horizon": "Errors of actions on what training did not see, by step of a chunk. At 1 "
     "they are as large as the actions' own deviation: that of always giving the mean action or so.",
     "errors_by_number": "The same by what is commanded, each in its own deviation.",
+    "grip_ways": "Where the grip went in the steps of a chunk, and where the policy would have "
+    "sent it, if --action-is says what actions mean.",
     "rays": "What the policy is told about its camera: a direction and a moment for each pixel.",
 }
-_WIDE = ("success_map", "cameras", "rays")
+_WIDE = ("success_map", "cameras", "rays", "grip_ways")
 
 
 def write_report(run_dir: str | Path) -> Path:
