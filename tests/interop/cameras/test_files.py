@@ -76,7 +76,7 @@ def test_the_schema_has_the_readers_names():
 
 
 def test_the_schema_accepts_and_refuses_the_same():
-    jsonschema = pytest.importorskip("jsonschema")
+    jsonschema = pytest.importorskip("jsonschema")  # of the extra `test`
     schema = jsonschema.Draft202012Validator(SCHEMA)
     schema.check_schema(SCHEMA)
     assert [schema.is_valid(content) for content in GOOD] == [True] * len(GOOD)
