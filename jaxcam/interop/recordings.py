@@ -9,6 +9,11 @@ from jaxcam.interop.droid import is_droid, read_droid
 from jaxcam.interop.lerobot.reading import read_lerobot
 
 
+def is_recording(path: Path) -> bool:
+    """Whether a folder is in a layout that `read_recording` knows."""
+    return (path / "meta" / "info.json").is_file() or is_droid(path)
+
+
 def read_recording(path: Path, cameras: Path | None = None) -> Recording:
     """A recorded dataset, with where its cameras stood as far as anybody says.
 
