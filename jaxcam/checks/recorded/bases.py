@@ -5,7 +5,7 @@ A movement and a turn about the vertical are looked for with the cross-entropy m
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from jaxcam.checks.recorded.motion import FITS, Filmed
 
 SPREAD = np.array([0.6, 0.6, 0.6, 0.4])
 """Of the first movements that are tried: x, y, z (m) and the turn (rad)."""
-TRIED, BEST, ROUNDS = 200, 20, 10
+TRIED, BEST, ROUNDS = 160, 16, 12
 """Movements of a round, those that the next is drawn from, and rounds."""
 SURE = FITS + 0.06
 """Fit from which a movement is named."""
@@ -53,16 +53,17 @@ def other_base(films: Sequence[Filmed]) -> OtherBase | None:
     if len({film.view for film in films}) < 2:
         return None
     films = [films[i] for i in chosen(len(films), FILMS)]
+    around = [replace(film, motion=replace(film.motion, rank=film.motion.around)) for film in films]
     rng = np.random.default_rng(0)
     best, most = np.zeros(4), -1.0
     for side in range(4):
         middle, spread = np.array([0, 0, 0, side * np.pi / 2]), SPREAD
-        for _ in range(ROUNDS):
+        for turn in range(ROUNDS):
             tried = middle + spread * rng.standard_normal((TRIED, 4))
-            fits = _fits(films, tried)
+            fits = _fits(around if turn < ROUNDS // 2 else films, tried)
             order = np.argsort(-fits)[:BEST]
             middle, spread = tried[order].mean(0), tried[order].std(0) + 1e-3
-            if fits[order[0]] > most:
+            if turn >= ROUNDS // 2 and fits[order[0]] > most:
                 best, most = tried[order[0]], float(fits[order[0]])
     if most < max(SURE, _fits(films, np.zeros((1, 4)))[0] + GAIN):
         return None

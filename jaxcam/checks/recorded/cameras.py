@@ -1,6 +1,6 @@
 """Whether calibrations of a recorded dataset can be: K, lens and pose, and the grip in view."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -30,8 +30,10 @@ FIELD_DEG = (15.0, 150.0)
 """Fields of view that cameras have, across the picture."""
 SQUARE = 0.1
 """How far fx / fy may be from 1."""
-SCALES = 0.1
-"""How far the two sides' ratios may differ for K to be that of another size."""
+SCALED = 0.15
+"""How far K may be from the picture's size, if by one ratio along both sides."""
+ALIKE = 0.05
+"""How far those two ratios may differ to be one."""
 LIT = 0.98
 """Share of pixels that should have a ray."""
 DARK = 0.5
@@ -162,10 +164,11 @@ def _intrinsics(stand: Stand) -> Finding | None:
     ratios = 2 * K[0, 2] / width, 2 * K[1, 2] / height
     ratio = float(np.mean(ratios))
     off = max(abs(r / 2 - 0.5) for r in ratios)
-    if off > OFF_CENTRE:
+    scaled = min(ratios) > 0 and max(ratios) - min(ratios) <= ALIKE * ratio
+    if off > OFF_CENTRE or (scaled and abs(ratio - 1) > SCALED):
         got = f"principal point ({K[0, 2]:.4g}, {K[1, 2]:.4g}) of a picture of {width} x {height}"
         expected = "near its middle"
-        if min(ratios) > 0 and max(ratios) - min(ratios) <= SCALES * ratio:
+        if scaled:
             size = f"{round(width * ratio)} x {round(height * ratio)}"
             fix = (
                 f"Likely cause: K is for pictures of {size}, {ratio:.3g} times these. Divide its "
@@ -211,7 +214,10 @@ def _lens(stand: Stand) -> Finding | None:
 
 
 def check_sights(
-    recording: Recording, grip: Sequence[int], fits: Fits | None = None
+    recording: Recording,
+    grip: Sequence[int],
+    fits: Fits | None = None,
+    unusable: Collection[tuple[int, str]] = (),
 ) -> Iterator[Judged]:
     """Whether cameras, whose poses are rigid, can have seen the grip.
 
@@ -220,8 +226,9 @@ def check_sights(
         grip: Columns of the state that are the grip's position.
         fits: How well poses fit the pictures of some views if they mean something else, 0 to 1, or
             None where nobody knows; None where no picture was looked at.
+        unusable: Episodes and views whose calibration is known to be wrong.
     """
-    stands = stands_of(recording)
+    stands = [s for s in stands_of(recording) if (s.episodes[0], s.view) not in unusable]
     fine, wrong = 0, []
     for view in recording.views:
         own = [stand for stand in stands if stand.view == view]
@@ -236,20 +243,30 @@ def check_sights(
     if not wrong:
         yield Judged(good("cameras", got=f"{fine} views have the grip in their pictures"))
         return
-    cause = _cause([w[0] for w in wrong], [w[1] for w in wrong], fits)
-    for view, _, result, episodes in wrong:
-        rolled = not np.any([m for f, m in result.by_fault.items() if f != "upside down"])
-        finding = note if rolled and not cause else bad
+    usable = [_only_rolled(result) for _, _, result, _ in wrong]
+    cause = None
+    if not all(usable):
+        cause = _cause([w[0] for w in wrong], [w[1] for w in wrong], fits)
+    for (view, _, result, episodes), rolled in zip(wrong, usable, strict=True):
         odd = sorted({e for i in np.flatnonzero(result.odd) for e in episodes[i]})
-        where = f"view {view}, {names(recording, odd)}"
-        reasons = [fault for fault, mask in result.by_fault.items() if mask.any()]
-        got = " or ".join(reasons)
-        got = f"{'picture' if rolled else 'the grip'} is {got}"
+        reasons = " or ".join(fault for fault, mask in result.by_fault.items() if mask.any())
+        got = f"the {'picture' if rolled else 'grip'} is {reasons}"
         if len(result.odd) > 1:
             got += f" for {result.odd.sum()} of its {len(result.odd)} calibrations"
-        fix = f"Likely cause: {cause.words}." if cause else UNEXPLAINED
-        judged = finding("cameras", got=got, expected=EXPECTED, where=where, fix=fix)
-        yield Judged(judged, tuple(odd), view, explained=cause is not None)
+        finding = (note if rolled and not cause else bad)(
+            "cameras",
+            got=got,
+            expected=EXPECTED,
+            where=f"view {view}, {names(recording, odd)}",
+            fix=f"Likely cause: {cause.words}." if cause else UNEXPLAINED,
+        )
+        yield Judged(finding, tuple(odd), view, explained=cause is not None)
+
+
+def _only_rolled(result: CameraFaults) -> bool:
+    """Whether cameras are upside down and no more, as some are mounted."""
+    others = [mask for fault, mask in result.by_fault.items() if fault != "upside down"]
+    return not np.any(others)
 
 
 def _cause(views: Sequence[str], each: Sequence[Sights], fits: Fits | None) -> Reading | None:

@@ -16,8 +16,8 @@ from jaxcam.checks.recorded.looks import Look, Looks
 from jaxcam.data.recordings import Calibration, Sight
 from jaxcam.rays import Camera
 
-BLUR = 0.02
-"""Width, in pictures, over which motion is smoothed."""
+BLUR, WIDE = 0.02, 0.1
+"""Widths, in pictures, over which motion is smoothed: to judge poses, and to look for others."""
 CALM = 1.0
 """Levels of change below which a pixel stands still."""
 LOCAL = 4.0
@@ -40,7 +40,10 @@ class Motion:
     """How an episode moves in a view."""
 
     rank: np.ndarray
-    """Share of the picture that moves less than each pixel, between two pictures [n - 1, h, w]."""
+    """Share of the picture that moves less than each pixel, between two pictures, float16
+    [n - 1, h, w]."""
+    around: np.ndarray
+    """The same of motion in a wide neighbourhood of each."""
     places: np.ndarray
     """The grip at each picture, in the base frame (m) [n, 3]."""
     counts: np.ndarray
@@ -74,7 +77,7 @@ class Motion:
             np.where(inside[..., t], self.rank[pair, row[..., t], column[..., t]], CHANCE)
             for t in (pair, pair + 1)
         ]
-        return np.minimum(*ends)
+        return np.minimum(*ends).astype(float)
 
 
 @dataclass(frozen=True)
@@ -96,21 +99,27 @@ def motion_of(look: Look, places: np.ndarray) -> Motion:
         places: The grip at each of its steps, in the base frame (m) [T, 3].
     """
     changes = abs(np.diff(look.grey.astype(np.float32), axis=0))
-    sigma = BLUR * max(changes.shape[1:])
-    smooth = np.stack([cv2.GaussianBlur(change, (0, 0), sigma) for change in changes])
+    smooth, around = (_blurred(changes, width) for width in (BLUR, WIDE))
     usual, most = np.percentile(smooth, [50, 98], axis=(1, 2))
     places = places[look.steps].astype(float)
     goes = np.linalg.norm(np.diff(places, axis=0), axis=-1) >= STEP
     counts = goes & (most > LOCAL * np.maximum(usual, CALM))
-    return Motion(np.stack([*map(_rank, smooth)]), places, counts, look.scale)
+    ranks = np.stack([*map(_rank, smooth)])
+    ranks = np.where(smooth < CALM, np.minimum(ranks, CHANCE), ranks)
+    wide = np.stack([*map(_rank, around)])
+    return Motion(ranks.astype(np.float16), wide.astype(np.float16), places, counts, look.scale)
+
+
+def _blurred(changes: np.ndarray, width: float) -> np.ndarray:
+    sigma = width * max(changes.shape[1:])
+    return np.stack([cv2.GaussianBlur(change, (0, 0), sigma) for change in changes])
 
 
 def _rank(change: np.ndarray) -> np.ndarray:
-    """Share of a picture that changes less than each pixel; still ones are no better than most."""
+    """Share of a picture that changes less than each pixel."""
     rank = np.empty(change.size, np.float32)
     rank[np.argsort(change, axis=None)] = np.arange(change.size) / change.size
-    rank = rank.reshape(change.shape)
-    return np.where(change < CALM, np.minimum(rank, CHANCE), rank)
+    return rank.reshape(change.shape)
 
 
 def films_of(

@@ -20,9 +20,11 @@ ODD_LENGTH = 4.0
 """How many times the median an episode's length may be, or the median it."""
 FULL_TURN = 2 * np.pi
 NEAR_TURN = 0.5
-"""How far (rad) from a full turn a jump may be that is one."""
-JUMP = 30.0
-"""A step of a number that is so many times its usual one, and `JUMP_SHARE` of its range, jumps."""
+"""How much less (rad) than a full turn a jump may be that is one."""
+STEADY = 1.0
+"""Median step (rad) up to which a number can be an angle."""
+JUMP = 5.0
+"""A step of a number jumps if it is so many times their 95th percentile, and so much of its range."""
 JUMP_SHARE = 0.3
 OUTLIER = 20.0
 """How many times the spread of the middle 90 % a number may lie outside it."""
@@ -177,13 +179,10 @@ def _jumps(recording: Recording) -> Iterator[Judged]:
     for what, columns in _columns(recording).items():
         for column, name in enumerate(columns):
             each = [_arrays(e)[what][:, column] for e in recording.episodes]
-            jumping = _jumping(each)
-            for i, sizes in jumping.items():
-                full = (abs(sizes - FULL_TURN) < NEAR_TURN).any()
-                if full:
-                    turns.setdefault(f"{what} {name}", []).append(i)
-                elif what == "state":
-                    leaps.setdefault(f"{what} {name}", []).append(i)
+            if wrapping := _wrapping(each):
+                turns[f"{what} {name}"] = wrapping
+            elif what == "state" and (jumping := _jumping(each)):
+                leaps[f"{what} {name}"] = jumping
     if not turns and not leaps:
         yield Judged(good("jumps", got="none"))
     if turns:
@@ -213,17 +212,24 @@ def _jumps(recording: Recording) -> Iterator[Judged]:
         )
 
 
-def _jumping(each: Sequence[np.ndarray]) -> dict[int, np.ndarray]:
-    """Sizes of the jumps of one number, by the episode."""
-    values = np.concatenate(each)
-    if len(np.unique(values)) <= LEVELS:
-        return {}
+def _wrapping(each: Sequence[np.ndarray]) -> list[int]:
+    """Episodes in which one number, if it is an angle, jumps by a turn."""
     steps = [abs(np.diff(x)) for x in each]
-    usual = float(np.median(np.concatenate(steps))) if len(values) > len(each) else 0.0
-    least = max(JUMP * usual, JUMP_SHARE * np.ptp(values))
-    if not usual:
-        return {}
-    return {i: s[s > least] for i, s in enumerate(steps) if (s > least).any()}
+    if np.ptp(np.concatenate(each)) > FULL_TURN + NEAR_TURN:
+        return []
+    if np.median(np.concatenate(steps) if any(map(len, steps)) else [np.inf]) > STEADY:
+        return []
+    return [i for i, s in enumerate(steps) if (s > FULL_TURN - NEAR_TURN).any()]
+
+
+def _jumping(each: Sequence[np.ndarray]) -> list[int]:
+    """Episodes in which one number jumps."""
+    values = np.concatenate(each)
+    if len(np.unique(values)) <= LEVELS or len(values) == len(each):
+        return []
+    steps = [abs(np.diff(x)) for x in each]
+    least = max(JUMP * np.percentile(np.concatenate(steps), 95), JUMP_SHARE * np.ptp(values))
+    return [i for i, s in enumerate(steps) if (s > least).any()]
 
 
 def _outliers(recording: Recording) -> Judged:

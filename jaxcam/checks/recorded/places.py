@@ -1,5 +1,6 @@
 """Whose poses put the grip where pictures move: a view's own, another view's, or another base's."""
 
+import itertools
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -99,18 +100,31 @@ def check_places(evidence: Evidence) -> Iterator[Judged]:
 
 
 def _swapped(evidence: Evidence) -> dict[tuple[str, str], list[int]]:
-    """Episodes in which two views fit much better with each other's calibration, by the pair."""
+    """Episodes in which two views fit much better with each other's calibration, by the pair.
+
+    Where several pairs would, the one that gains most is taken.
+    """
+    gains = {}
+    for pair in itertools.combinations(evidence.views, 2):
+        if odd := _exchanged(evidence, *pair):
+            gains[pair] = sum(float(_gains(evidence, *pair, e).sum()) for e in odd), odd
     pairs: dict[tuple[str, str], list[int]] = {}
-    for i, one in enumerate(evidence.views):
-        for other in evidence.views[i + 1 :]:
-            both = [e for e in evidence.fits[one, one] if e in evidence.fits.get((one, other), {})]
-            odd = _run(evidence, one, other, both)
-            rest = [e for e in both if e not in odd]
-            if odd and len(odd) >= MOST * len(both) and _gain(evidence, one, other, rest) >= 0:
-                odd = both
-            if odd and _sure(evidence, one, other, odd):
-                pairs[one, other] = odd
+    taken: set[tuple[str, int]] = set()
+    for pair, (_, odd) in sorted(gains.items(), key=lambda item: -item[1][0]):
+        films = {(view, e) for view in pair for e in odd}
+        if not films & taken:
+            pairs[pair], taken = odd, taken | films
     return pairs
+
+
+def _exchanged(evidence: Evidence, one: str, other: str) -> list[int]:
+    """Episodes in which two views fit much better with each other's calibration."""
+    both = [e for e in evidence.fits[one, one] if e in evidence.fits.get((one, other), {})]
+    odd = _run(evidence, one, other, both)
+    rest = [e for e in both if e not in odd]
+    if odd and len(odd) >= MOST * len(both) and _gain(evidence, one, other, rest) >= 0:
+        odd = both
+    return odd if odd and _sure(evidence, one, other, odd) else []
 
 
 def _gains(evidence: Evidence, one: str, other: str, episode: int) -> np.ndarray:
@@ -140,12 +154,12 @@ def _run(evidence: Evidence, one: str, other: str, episodes: Sequence[int]) -> l
 
 
 def _sure(evidence: Evidence, one: str, other: str, episodes: Sequence[int]) -> bool:
-    """Whether both views fit with each other's calibration, and none less than with its own."""
+    """Whether both views fit with each other's calibration, and each better than with its own."""
     for a, b in ((one, other), (other, one)):
         if sum(len(evidence.fits[a, b][e]) for e in episodes) < LEAST // 2:
             return False
         crossed = evidence.mean(a, b, episodes)
-        if crossed < FITS or crossed <= evidence.mean(a, a, episodes):
+        if crossed < FITS or crossed - evidence.mean(a, a, episodes) < BETTER / 2:
             return False
     return True
 

@@ -57,16 +57,16 @@ def check_recorded(
     if columns is None:
         judged.append(_no_grip(known=meaning.grip is not None))
     elif not count:
-        judged += check_sights(recording, columns)
+        judged += check_sights(recording, columns, unusable=_explained(judged))
     overlays = None
     if count:
         looks = Looks(recording)
         episodes = chosen(len(recording.episodes), LOOKED).tolist()
         _look(looks, episodes, console)
         if columns is not None:
-            films = films_of(looks, episodes, columns, _explained(judged))
-            evidence = Evidence.of(recording, films)
-            judged += check_sights(recording, columns, evidence.of_reading)
+            wrong_K = _explained(judged)
+            evidence = Evidence.of(recording, films_of(looks, episodes, columns, wrong_K))
+            judged += check_sights(recording, columns, evidence.of_reading, wrong_K)
             judged += check_places(evidence.without(_explained(judged)))
         judged += _pictures(looks, columns)
         judged += check_stills(looks, episodes)

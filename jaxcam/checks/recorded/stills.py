@@ -23,6 +23,10 @@ STILL_LEVELS = 4
 """Levels (of 255) that a pixel of the background may differ from its median in most pictures."""
 CORNERS = 200
 """Corners that are followed."""
+AROUND = 0.05
+"""Width, in pictures, of what a place is compared with, so that light does not matter."""
+NOISE = 2.0
+"""Levels of contrast that mean nothing."""
 LEAST = 8
 """Corners below which nothing is said."""
 AGREE = 0.35
@@ -82,8 +86,9 @@ def shift(one: Background, other: Background) -> Shift | None:
     corners = cv2.goodFeaturesToTrack(one.picture, CORNERS, 0.01, 3, mask=one.still)
     if corners is None or len(corners) < LEAST:
         return None
-    there, ok = _follow(one.picture, other.picture, corners)
-    back, ok_back = _follow(other.picture, one.picture, there)
+    first, second = _evenly_lit(one.picture), _evenly_lit(other.picture)
+    there, ok = _follow(first, second, corners)
+    back, ok_back = _follow(second, first, there)
     ok &= ok_back & (np.linalg.norm(back - corners, axis=-1)[:, 0] < BACK)
     if ok.sum() < LEAST:
         return None
@@ -94,6 +99,15 @@ def shift(one: Background, other: Background) -> Shift | None:
         return None
     pixels = float(np.median(np.linalg.norm(end - start, axis=-1)[inside > 0]))
     return Shift(pixels, float(np.rad2deg(np.arctan2(moved[1, 0], moved[0, 0]))))
+
+
+def _evenly_lit(picture: np.ndarray) -> np.ndarray:
+    """A picture without what light adds: each place against the mean and spread around it."""
+    values = picture.astype(np.float32)
+    sigma = AROUND * max(picture.shape)
+    values -= cv2.GaussianBlur(values, (0, 0), sigma)
+    spread = np.sqrt(cv2.GaussianBlur(values**2, (0, 0), sigma)) + NOISE
+    return np.clip(128 + 50 * values / spread, 0, 255).astype(np.uint8)
 
 
 def _follow(one: np.ndarray, other: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
