@@ -24,7 +24,7 @@ NEAR_TURN = 0.5
 STEADY = 1.0
 """Median step (rad) up to which a number can be an angle."""
 JUMP = 5.0
-"""A step of a number jumps if it is so many times their 95th percentile, and so much of its range."""
+"""Times the 95th percentile of a number's steps, and share of its range, beyond which one jumps."""
 JUMP_SHARE = 0.3
 OUTLIER = 20.0
 """How many times the spread of the middle 90 % a number may lie outside it."""
