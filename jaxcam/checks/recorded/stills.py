@@ -177,14 +177,14 @@ def check_stills(looks: Looks, episodes: Sequence[int]) -> Iterator[Judged]:
         episodes: Those that are looked at, ascending; others are where a change is looked for.
     """
     for view in looks.recording.views:
-        seen_by = [e for e in episodes if looks.at(e, view) is not None]
-        sights = {e: looks.recording.episodes[e].sights[view] for e in seen_by}
+        shown = [e for e in episodes if looks.at(e, view) is not None]
+        sights = {e: looks.recording.episodes[e].sights[view] for e in shown}
         if any(s.calibration and s.calibration.base_from_camera.ndim == 3 for s in sights.values()):
             what = "it is said to move"
             yield Judged(note("standing still", got=f"not looked at: {what}", where=f"view {view}"))
             continue
         groups: dict[object, list[int]] = {}
-        for e in seen_by:
+        for e in shown:
             key = same_key(sights[e].calibration), sights[e].height, sights[e].width
             groups.setdefault(key, []).append(e)
         several = [group for group in groups.values() if len(group) > 1]
@@ -192,10 +192,10 @@ def check_stills(looks: Looks, episodes: Sequence[int]) -> Iterator[Judged]:
         if several:
             for group in several:
                 yield from _check_group(about, group)
-        elif len(seen_by) > 1:
+        elif len(shown) > 1:
             got = "not looked at: each episode has a pose of its own"
             yield Judged(note("standing still", got=got, where=f"view {view}"))
-        yield from _said_to_move(about, seen_by)
+        yield from _said_to_move(about, shown)
 
 
 def _check_group(view: _View, group: Sequence[int]) -> Iterator[Judged]:

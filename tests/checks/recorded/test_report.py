@@ -186,8 +186,8 @@ def test_without_a_known_grip_it_says_what_was_not_looked_at(tmp_path):
     (finding,) = about(report.findings, "cameras", "note")
     assert "--grip observation.state[0:3]" in finding.fix
     assert not about(report.findings, "motion", "good")
-    told = check_recorded(data, "observation.state[0:3]")
-    assert len(about(told.findings, "motion", "good")) == len(data.views)
+    named = check_recorded(data, "observation.state[0:3]")
+    assert len(about(named.findings, "motion", "good")) == len(data.views)
     with pytest.raises(ConfigError, match="--grip names three columns"):
         check_recorded(data, "state[3:6]")
 

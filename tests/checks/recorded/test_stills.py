@@ -71,7 +71,7 @@ def test_a_pose_that_was_given_anew_is_no_fault(data):
     spoilt = bumped(data, "left", range(3, EPISODES), turn(1, 3))
     pose = np.eye(4)
     pose[:3, :3] = turn(1, 3)
-    told = with_calibrations(
+    anew = with_calibrations(
         spoilt,
         lambda i, view, c: (
             replace(c, base_from_camera=c.base_from_camera @ pose)
@@ -79,7 +79,7 @@ def test_a_pose_that_was_given_anew_is_no_fault(data):
             else c
         ),
     )
-    assert {j.finding.mark for j in judge(told)} == {"good"}
+    assert {j.finding.mark for j in judge(anew)} == {"good"}
 
 
 def test_a_pose_that_changes_while_the_picture_does_not_is_told(data):
