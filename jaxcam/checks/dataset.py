@@ -4,6 +4,7 @@ import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from rich.console import Console
@@ -43,6 +44,7 @@ REPLAY_FIX = """Commands, gripper sign, object poses or the task are not what wa
 python -m jaxcam.replay lists the demonstrations that fail."""
 GRIPPER_TURNED = np.array([1, 1, 1, 1, 1, 1, -1])
 """What an action is multiplied by to open where it closed."""
+Item = TypeVar("Item")
 
 
 def check_file(path: Path) -> tuple[Demos | None, list[Finding]]:
@@ -132,8 +134,8 @@ def _sizes(demos: Demos, scene: World) -> Finding:
 def _duplicates(demos: Demos) -> Finding:
     """Whether a demonstration is there twice."""
     episodes = demos.episodes
-    same = [*_twins(episodes, lambda d: d.states.tobytes() + d.actions.tobytes())]
-    seeds = [*_twins(episodes, lambda d: str(d.seed).encode())]
+    same = [*twins(episodes, lambda d: d.states.tobytes() + d.actions.tobytes())]
+    seeds = [*twins(episodes, lambda d: str(d.seed).encode())]
     if not same and not seeds:
         return good("duplicates", got=f"all {len(episodes)} demonstrations differ")
     train = len(demos.train)
@@ -154,11 +156,11 @@ def _duplicates(demos: Demos) -> Finding:
     )
 
 
-def _twins(episodes: Sequence[Demo], key: Callable[[Demo], bytes]) -> Iterator[tuple[int, int]]:
-    """Rows of each demonstration whose key an earlier one has: the earlier one, then its own."""
+def twins(items: Sequence[Item], key: Callable[[Item], bytes]) -> Iterator[tuple[int, int]]:
+    """Numbers of each item whose key an earlier one has: the earlier one, then its own."""
     first: dict[bytes, int] = {}
-    for i, demo in enumerate(episodes):
-        digest = hashlib.sha256(key(demo)).digest()
+    for i, item in enumerate(items):
+        digest = hashlib.sha256(key(item)).digest()
         if first.setdefault(digest, i) != i:
             yield first[digest], i
 

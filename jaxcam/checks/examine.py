@@ -17,13 +17,15 @@ from jaxcam.checks.machine import check_env
 from jaxcam.checks.numbers import statistics
 from jaxcam.checks.page import Report, draw_figures, write_page
 from jaxcam.checks.pictures import check_caches, draw_overlays
+from jaxcam.checks.recorded.report import check_recorded
 from jaxcam.checks.run import check_run
 from jaxcam.config.commands import CheckConfig
-from jaxcam.errors import ConfigError, DatasetError, SimError
+from jaxcam.errors import CameraError, ConfigError, DatasetError, SimError
 from jaxcam.files.paths import absolute
 from jaxcam.files.whole import check_free
 from jaxcam.interop.formats import read as read_any
 from jaxcam.interop.formats import recognise
+from jaxcam.interop.recordings import is_recording, read_recording
 
 
 def check_dataset(path: Path, count: int, console: Console | None = None) -> Report:
@@ -79,21 +81,55 @@ def check_foreign(path: Path, count: int, console: Console | None = None) -> Rep
     return replace(report, subtitle=f"{about}, as jaxcam imports it")
 
 
-def examine(path: Path, count: int, console: Console | None = None) -> Report:
-    """Examines what a path leads to; see `check_dataset`, `check_foreign`, `check_run`.
+def check_folder(
+    path: Path, count: int, console: Console | None, cameras: Path | None, grip: str
+) -> Report:
+    """Examines a folder, of a run or of a recorded dataset; see `examine`.
 
     Raises:
-        ConfigError: It leads to a folder that is not a run's.
+        ConfigError: It is neither, or the settings do not go with it.
+    """
+    if (path / "config.json").is_file():
+        return Report(path.name, "Run folder.", list(check_run(path, console)))
+    if not is_recording(path):
+        raise ConfigError(
+            f"{path}: not a run folder, since it has no config.json, and no recorded dataset: it "
+            "has neither meta/info.json (LeRobot) nor trajectory.h5 (DROID). Datasets of "
+            "demonstrations that were simulated are files."
+        )
+    try:
+        recording = read_recording(path, cameras)
+    except (DatasetError, CameraError) as error:
+        finding = bad("dataset", got=str(error), fix="See docs/recorded.md.")
+        return Report(path.name, "It cannot be used.", [finding])
+    return check_recorded(recording, grip, count, console)
+
+
+def examine(
+    path: Path,
+    count: int,
+    console: Console | None = None,
+    *,
+    cameras: Path | None = None,
+    grip: str = "",
+) -> Report:
+    """Examines what a path leads to.
+
+    Args:
+        path: Of a dataset or of a run's folder.
+        count: See `check_dataset`.
+        console: For progress; silent when None.
+        cameras: JSON file of a recorded dataset's calibrations.
+        grip: Where a recorded dataset's state has the grip's position.
+
+    Raises:
+        ConfigError: It leads to a folder that is neither a run's nor a recorded dataset's.
         DatasetError: It leads to nothing.
     """
     if not os.path.lexists(path):
         raise DatasetError(f"{path}: there is neither a dataset nor a run.")
     if path.is_dir():
-        if not (path / "config.json").is_file():
-            raise ConfigError(
-                f"{path}: not a run folder, since it has no config.json, and datasets are files."
-            )
-        return Report(path.name, "Run folder.", list(check_run(path, console)))
+        return check_folder(path, count, console, cameras, grip)
     if recognise(path) in ("robomimic", "maniskill"):
         return check_foreign(path, count, console)
     return check_dataset(path, count, console)
@@ -103,7 +139,11 @@ def _page(config: CheckConfig) -> Path:
     target = absolute(config.target)
     if config.out:
         return absolute(config.out)
-    return target / "check.html" if target.is_dir() else target.with_suffix(".check.html")
+    if not target.is_dir():
+        return target.with_suffix(".check.html")
+    if (target / "config.json").is_file():
+        return target / "check.html"
+    return target.with_name(f"{target.name}.check.html")  # nothing is written into a recording
 
 
 def main(config: CheckConfig, console: Console) -> int:
@@ -122,7 +162,13 @@ def main(config: CheckConfig, console: Console) -> int:
             raise ConfigError(
                 f"{overlays} is there, where the page's pictures go. Choose another --out."
             )
-        report = examine(absolute(config.target), config.episodes, console)
+        report = examine(
+            absolute(config.target),
+            config.episodes,
+            console,
+            cameras=absolute(config.cameras) if config.cameras else None,
+            grip=config.grip,
+        )
         findings = report.findings
         show(findings, console)
         try:

@@ -76,7 +76,7 @@ def draw_over(picture: np.ndarray, demos: Demos, shown: Moment, scene: World) ->
     demo, side = demos.episodes[shown.row], len(picture)
     pose = demos.header.world_from_camera[demo.cameras[shown.camera]]
     eye = Camera(intrinsics(demos.header.fovy_deg, side), pose, side, side)
-    _line(picture, eye, demo.eef_pos, PATH, 1)
+    draw_line(picture, eye, demo.eef_pos, PATH, 1)
     draw_axes(picture, eye, table_pose(demo, scene), TABLE_LENGTH)
     draw_axes(picture, eye, grip_pose(demo, shown.t), GRIP_LENGTH)
 
@@ -97,7 +97,7 @@ def draw_axes(picture: np.ndarray, camera: Camera, pose: np.ndarray, length: flo
     """Draws the three axes of a frame into a picture, in place: x red, y green, z blue."""
     for axis, colour in enumerate(AXES):
         ends = pose[:3, 3] + np.linspace(0, length, 9)[:, None] * pose[:3, axis]
-        _line(picture, camera, ends, colour, 2)
+        draw_line(picture, camera, ends, colour, 2)
 
 
 def sheet(pictures: Sequence[np.ndarray], captions: Sequence[str]) -> np.ndarray:
@@ -116,7 +116,7 @@ def sheet(pictures: Sequence[np.ndarray], captions: Sequence[str]) -> np.ndarray
     return whole
 
 
-def _line(
+def draw_line(
     picture: np.ndarray, camera: Camera, points: np.ndarray, colour: Sequence[int], width: int
 ) -> None:
     """Draws what of a line in the world lies before the camera."""

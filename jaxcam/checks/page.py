@@ -31,6 +31,11 @@ class Report:
     """By what they show."""
     overlays: np.ndarray | None = None
     """Sheet of pictures, uint8 RGB."""
+    caption: str = (
+        "What cameras see, with the axes of grip and table (x red, y green, z blue) and the way of "
+        "the grip (yellow) drawn where the cameras' numbers have them."
+    )
+    """What it shows."""
 
 
 def write_page(report: Report, path: Path) -> Path:
@@ -43,11 +48,7 @@ def write_page(report: Report, path: Path) -> Path:
         ]
         if report.overlays is not None:
             file = write_png(Path(folder) / "overlays.png", report.overlays)
-            caption = (
-                "What cameras see, with the axes of grip and table (x red, y green, z blue) and "
-                "the way of the grip (yellow) drawn where the cameras' numbers have them."
-            )
-            overlays = [embedded(file, caption, wide=True)]
+            overlays = [embedded(file, report.caption, wide=True)]
     content = render(
         "check.html",
         report.title,

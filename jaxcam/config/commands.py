@@ -99,12 +99,16 @@ class CheckConfig:
     target: tyro.conf.Positional[
         Annotated[str, tyro.conf.arg(metavar="[DATASET|RUN]"), default("none")]
     ] = ""
-    """A dataset (also a file of robomimic's or ManiSkill's, as it would be imported) or a run's
-    folder."""
+    """A dataset (also a file of robomimic's or ManiSkill's, as it would be imported, or a recorded
+    dataset's folder) or a run's folder."""
     env: bool = False
     """Check this machine: packages, accelerator, folders, Vulkan device, ManiSkill."""
     episodes: int = 8
     """Demonstrations that are replayed, drawn, and compared with cached pictures."""
+    cameras: Annotated[str, default("the dataset's own")] = ""
+    """JSON file that says where the cameras of a recorded dataset stood."""
+    grip: Annotated[str, default("by its names")] = ""
+    """Where a recorded dataset's state has the grip's position, such as observation.state[0:3]."""
     out: Annotated[str, default("beside what is checked")] = ""
     """HTML page to write."""
 

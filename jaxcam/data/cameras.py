@@ -16,6 +16,7 @@ from jaxcam.console.words import some
 from jaxcam.data.demos import Demos
 from jaxcam.errors import CameraError
 from jaxcam.rays import check_pose, invert, opencv_from_opengl
+from jaxcam.rays.lens import distort
 from jaxcam.rays.rotations import matrix_from_quaternion, quaternion_from_matrix
 from jaxcam.sim import make_task
 
@@ -49,11 +50,17 @@ class Sights:
     rows: np.ndarray
     """Rows of the file's cameras [C]."""
     poses: np.ndarray
-    """World from camera [C, 4, 4]."""
+    """Their poses [C, 4, 4], OpenCV axes, in the frame of the points."""
     points: np.ndarray
-    """Places of the grip in the world [C, POINTS, 3] (m)."""
-    fovy: float
-    """Vertical field of view (rad); pictures are square."""
+    """Places of the grip [C, P, 3] (m)."""
+    K: np.ndarray
+    """Intrinsics in pixels [C, 3, 3]."""
+    sizes: np.ndarray
+    """Rows and columns of their pictures [C, 2]."""
+    lenses: np.ndarray | None = None
+    """As `jaxcam.rays.lens.pack` gives them [C, 9]; None is pinholes."""
+    carried: bool = False
+    """Whether the robot carries them: those may be near what they see, and turned any way."""
 
 
 @dataclass(frozen=True)
@@ -180,39 +187,57 @@ def sights_of(demos: Demos) -> Sights:
         places = np.concatenate(paths[int(row)])
         points.append(places[np.linspace(0, len(places) - 1, POINTS).astype(int)])
     poses = np.asarray(demos.header.world_from_camera[rows], np.float64)
-    return Sights(rows, poses, np.stack(points), float(np.deg2rad(demos.header.fovy_deg)))
+    with np.errstate(divide="ignore"):  # a field of view that cannot be sees nothing
+        f = 1 / np.tan(np.deg2rad(demos.header.fovy_deg) / 2)
+    K = np.array([[f, 0, 1], [0, f, 1], [0, 0, 1]])
+    count = len(rows)
+    return Sights(
+        rows, poses, np.stack(points), np.tile(K, (count, 1, 1)), np.full((count, 2), 2.0)
+    )
 
 
 def faults(sights: Sights) -> dict[Fault, np.ndarray]:
     """Which cameras cannot have seen what they should, bool [C] by the reason."""
     rotation, position = sights.poses[:, :3, :3], sights.poses[:, None, :3, 3]
     local = (sights.points - position) @ rotation
-    aside, depth = abs(local[..., :2]).max(-1), local[..., 2]
-    inside = (depth > 0) & (aside <= np.tan(sights.fovy / 2) * depth)
     distance = np.linalg.norm(np.median(sights.points - position, 1), axis=-1)
-    behind = np.median(depth, -1) <= 0
+    behind = np.median(local[..., 2], -1) <= 0
+    nearest = 0 if sights.carried else REACH[0]
     return {
         "behind the camera": behind,
-        "outside the picture": ~behind & (inside.mean(-1) < IN_VIEW),
-        "too far away or too near": (distance < REACH[0]) | (distance > REACH[1]),
-        "upside down": rotation[:, 2, 1] > LEVEL,
+        "outside the picture": ~behind & (_inside(sights, local).mean(-1) < IN_VIEW),
+        "too far away or too near": (distance < nearest) | (distance > REACH[1]),
+        "upside down": (rotation[:, 2, 1] > LEVEL) & (not sights.carried),
     }
 
 
-def likely_cause(sights: Sights, world_from_base: np.ndarray) -> Reading | None:
-    """The reading of the poses under which fewest cameras are odd; None if too many always are.
+def _inside(sights: Sights, local: np.ndarray) -> np.ndarray:
+    """Which points [C, P, 3] in the axes of their cameras are in the pictures, bool [C, P]."""
+    inside = local[..., 2] > 0
+    with np.errstate(all="ignore"):  # what is not in front of a camera, or whose K is no number
+        x, y = np.moveaxis(local[..., :2] / local[..., 2:], -1, 0)
+        if sights.lenses is not None:
+            x, y, in_field = distort(x, y, sights.lenses[:, None], "opencv")
+            inside &= in_field
+        K, sizes = sights.K[:, None], sights.sizes[:, None]
+        u = K[..., 0, 0] * x + K[..., 0, 1] * y + K[..., 0, 2]
+        v = K[..., 1, 1] * y + K[..., 1, 2]
+        return inside & (u >= 0) & (u <= sizes[..., 1]) & (v >= 0) & (v <= sizes[..., 0])
+
+
+def readings_that_fit(sights: Sights, world_from_base: np.ndarray) -> list[Reading]:
+    """The readings of the poses under which few cameras are odd, the best first.
 
     Args:
         sights: Cameras, and what they should have seen.
-        world_from_base: The robot's base in the world [4, 4].
+        world_from_base: The robot's base in the frame of the points [4, 4].
     """
-    best, least = None, TOLERATED
+    shares = []
     for reading in READINGS:
         poses = reading.convert(sights.poses, world_from_base)
-        share = np.any(list(faults(replace(sights, poses=poses)).values()), 0).mean()
-        if share < least or (share == least and not best):
-            best, least = reading, share
-    return best
+        shares.append(np.any(list(faults(replace(sights, poses=poses)).values()), 0).mean())
+    order = np.argsort(shares, kind="stable")
+    return [READINGS[i] for i in order if shares[i] <= TOLERATED]
 
 
 def camera_faults(demos: Demos) -> CameraFaults:
@@ -222,7 +247,7 @@ def camera_faults(demos: Demos) -> CameraFaults:
     if result.tolerable:
         return result
     base = make_task(demos.header.task).scene(demos.header.scene).world_from_base
-    return replace(result, cause=likely_cause(sights, base))
+    return replace(result, cause=next(iter(readings_that_fit(sights, base)), None))
 
 
 def require_rigid(demos: Demos) -> None:

@@ -12,6 +12,11 @@ from jaxcam.interop.formats import recognise
 from jaxcam.interop.lerobot.reading import read_lerobot
 
 
+def is_recording(path: Path) -> bool:
+    """Whether a folder is in a layout that `read_recording` knows."""
+    return path.is_dir() and recognise(path) in ("lerobot", "droid")
+
+
 def read_recording(
     path: Path, cameras: Path | None = None, console: Console | None = None
 ) -> Recording:

@@ -1,6 +1,5 @@
 """Demonstrations that somebody recorded: read, decoded, and judged on what training did not see."""
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -11,7 +10,7 @@ from jaxcam.config.sizes import rows_and_columns, size_name
 from jaxcam.config.train import TrainConfig
 from jaxcam.data.batches import Dataset
 from jaxcam.data.recorded.fitting import keeping_shape
-from jaxcam.data.recorded.parts import HeldOut, Meaning, Parts, make_recorded, parts_of
+from jaxcam.data.recorded.parts import HeldOut, Meaning, Parts, make_recorded, meaning_of, parts_of
 from jaxcam.data.recorded.pictures import load_recorded_pictures
 from jaxcam.data.recorded.recording import Recording
 from jaxcam.data.samples import Samples
@@ -35,12 +34,6 @@ from jaxcam.runs.folder import RunDir
 from jaxcam.runs.identity import RECORDED, policy_preset
 from jaxcam.runs.metrics import read_metrics
 from jaxcam.training.state import TrainState
-
-_GRIP = re.compile(
-    r"^(?:.*[._ ])?(?:grip|gripper|eef|ee|tcp|hand|end_effector)[._ ]?(?:pos(?:ition)?)?[._ ]?"
-    r"([xyz])$"
-)
-"""Names of the numbers that say where the grip is."""
 
 
 @dataclass(frozen=True)
@@ -129,10 +122,7 @@ class Recorded:
 
     def meaning(self, config: TrainConfig) -> Meaning:
         """What is known of the numbers, by their names and by what the settings say."""
-        recording = self.recording
-        grip = _grip_asked(config.grip, recording) if config.grip else _grip_named(recording)
-        grippers = [i for i, name in enumerate(recording.action_names) if "grip" in name.lower()]
-        return Meaning(grip, grippers[-1] if grippers else None)
+        return meaning_of(self.recording, config.grip)
 
     def check(self, config: TrainConfig) -> None:
         """Nothing more than `complete` has checked."""
@@ -202,24 +192,6 @@ class Recorded:
 
 def _held_out(config: TrainConfig) -> HeldOut:
     return HeldOut(config.hold_out_view, config.hold_out_episodes, config.validation)
-
-
-def _grip_named(recording: Recording) -> tuple[int, int, int] | None:
-    """Columns of the state whose names say that they are the grip's x, y and z."""
-    axes = {m[1]: i for i, n in enumerate(recording.state_names) if (m := _GRIP.match(n.lower()))}
-    return (axes["x"], axes["y"], axes["z"]) if len(axes) == 3 else None
-
-
-def _grip_asked(text: str, recording: Recording) -> tuple[int, int, int]:
-    """Columns of the state that a setting such as "observation.state[0:3]" names."""
-    match = re.fullmatch(r"(?:observation\.)?state\[([0-9]{1,6}):([0-9]{1,6})\]", text.strip())
-    if match and int(match[2]) - int(match[1]) == 3 and int(match[2]) <= len(recording.state_names):
-        first = int(match[1])
-        return first, first + 1, first + 2
-    raise ConfigError(
-        f"--grip names three columns of the state as observation.state[0:3] does, of "
-        f"{len(recording.state_names)} that there are; got {text[:80]!r}."
-    )
 
 
 def _in_words(row: ActionErrors) -> str:

@@ -5,17 +5,19 @@ import shutil
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import cv2
 import h5py
 import numpy as np
 import pytest
+from filmed import filmed
 from running import exit_code
 from spoilt import unseal
 
 from jaxcam.checks.examine import examine
 from jaxcam.checks.findings import worst
-from jaxcam.errors import ConfigError, SimError
+from jaxcam.errors import ConfigError, DatasetError, SimError
 from jaxcam.sim.tasks.lift import Lift
 
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
@@ -61,8 +63,49 @@ def test_files_that_are_none(tmp_path, capsys):
     assert exit_code("check", tmp_path / "none.hdf5") == 3
     assert "neither a dataset nor a run" in capsys.readouterr().err
     assert not list(tmp_path.glob("none*"))
-    with pytest.raises(ConfigError, match=r"not a run folder.*no config\.json"):
+    with pytest.raises(ConfigError, match=r"no config\.json, and no recorded dataset"):
         examine(tmp_path, 1)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder that looks like LeRobot's, which reads as a dataset of a robot that never was."""
+    from jaxcam.checks import examine as module
+
+    folder = tmp_path / "cups"
+    (folder / "meta").mkdir(parents=True)
+    (folder / "meta" / "info.json").write_text("{}")
+    asked = []
+
+    def read(path, cameras=None):
+        asked.append((path, cameras))
+        if cameras is not None and not cameras.exists():
+            raise DatasetError(f"{cameras}: there is no such file.")
+        return replace(filmed(3, 12), path=path)
+
+    monkeypatch.setattr(module, "read_recording", read)
+    return folder, asked
+
+
+def test_a_recorded_dataset_from_the_command_line(folder, tmp_path, capsys):
+    folder, asked = folder
+    cameras = tmp_path / "cameras.json"
+    cameras.write_text("{}")
+    flags = ("--cameras", cameras, "--grip", "observation.state[0:3]")
+    assert exit_code("check", folder, *flags) == 0
+    assert asked == [(folder, cameras)]
+    page = (tmp_path / "cups.check.html").read_text("utf-8")
+    assert page.count("<img") == 2
+    assert "standing still, view left" in page
+    assert [p.name for p in folder.rglob("*")] == ["meta", "info.json"]  # nothing is written there
+
+
+def test_a_recorded_dataset_that_cannot_be_read_is_bad(folder, capsys):
+    folder, _ = folder
+    assert exit_code("check", folder, "--cameras", folder / "none.json") == 1
+    assert "there is no such file" in capsys.readouterr().out
+    assert exit_code("check", folder, "--grip", "state[0:9]") == 2
+    assert "--grip names three columns" in capsys.readouterr().err
 
 
 def test_a_folder_that_cannot_be_written_to_loses_only_the_page(demos, tmp_path, capsys):

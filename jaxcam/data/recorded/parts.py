@@ -7,6 +7,7 @@ views, which training never sees. So validation tells new episodes from new came
 
 import hashlib
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
@@ -24,6 +25,11 @@ from jaxcam.errors import ConfigError, closest
 Group = Literal["training", "new episodes", "new cameras"]
 LARGEST_SHARE = 5
 """At most one episode of so many is held out where nobody says how many."""
+_GRIP = re.compile(
+    r"^(?:.*[._ ])?(?:grip|gripper|eef|ee|tcp|hand|end_effector)[._ ]?(?:pos(?:ition)?)?[._ ]?"
+    r"([xyz])$"
+)
+"""Names of the numbers that say where the grip is."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +67,40 @@ class Meaning:
 
     grip: tuple[int, int, int] | None = None
     gripper: int | None = None
+
+
+def meaning_of(recording: Recording, grip: str = "") -> Meaning:
+    """What is known of the numbers of a dataset, by their names and by what a setting says.
+
+    Args:
+        recording: The dataset.
+        grip: Where its state has the grip's position, such as "observation.state[0:3]"; by names
+            when empty.
+
+    Raises:
+        ConfigError: The setting names no three columns of the state.
+    """
+    columns = _grip_asked(grip, recording) if grip else _grip_named(recording)
+    grippers = [i for i, name in enumerate(recording.action_names) if "grip" in name.lower()]
+    return Meaning(columns, grippers[-1] if grippers else None)
+
+
+def _grip_named(recording: Recording) -> tuple[int, int, int] | None:
+    """Columns of the state whose names say that they are the grip's x, y and z."""
+    axes = {m[1]: i for i, n in enumerate(recording.state_names) if (m := _GRIP.match(n.lower()))}
+    return (axes["x"], axes["y"], axes["z"]) if len(axes) == 3 else None
+
+
+def _grip_asked(text: str, recording: Recording) -> tuple[int, int, int]:
+    """Columns of the state that a setting such as "observation.state[0:3]" names."""
+    match = re.fullmatch(r"(?:observation\.)?state\[([0-9]{1,6}):([0-9]{1,6})\]", text.strip())
+    if match and int(match[2]) - int(match[1]) == 3 and int(match[2]) <= len(recording.state_names):
+        first = int(match[1])
+        return first, first + 1, first + 2
+    raise ConfigError(
+        f"--grip names three columns of the state as observation.state[0:3] does, of "
+        f"{len(recording.state_names)} that there are; got {text[:80]!r}."
+    )
 
 
 @dataclass(frozen=True)

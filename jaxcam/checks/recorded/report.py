@@ -1,0 +1,169 @@
+"""All that the doctor finds on a recorded dataset."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+from rich.console import Console
+
+from jaxcam.checks.findings import Finding, bad, good, note
+from jaxcam.checks.overlays import chosen
+from jaxcam.checks.page import Report
+from jaxcam.checks.recorded.cameras import check_calibrations, check_sights
+from jaxcam.checks.recorded.judged import Judged, names, ranking, suspicion
+from jaxcam.checks.recorded.looks import Looks
+from jaxcam.checks.recorded.motion import films_of
+from jaxcam.checks.recorded.numbers import check_numbers, statistics
+from jaxcam.checks.recorded.overlays import draw_overlays
+from jaxcam.checks.recorded.places import Evidence, check_places
+from jaxcam.checks.recorded.stills import check_stills
+from jaxcam.console.progress import progress
+from jaxcam.console.words import some
+from jaxcam.data.caches import is_blank
+from jaxcam.data.recorded.parts import meaning_of
+from jaxcam.data.recorded.recording import Recording
+from jaxcam.reports.style import BLUE, FAINT, side_by_side, styled
+
+LOOKED = 24
+"""Episodes whose pictures are decoded, evenly spread; more where a change is looked for."""
+WAY = 0.03
+"""Distance (m) that the grip goes in an episode in which pictures cannot all be the same."""
+CAPTION = (
+    "What cameras see, with the axes of the base and of a frame at the grip (x red, y green, z "
+    "blue) and the way of the grip (yellow) drawn where calibrations have them."
+)
+
+
+def check_recorded(
+    recording: Recording, grip: str = "", count: int = 8, console: Console | None = None
+) -> Report:
+    """Examines a recorded dataset.
+
+    Args:
+        recording: The dataset.
+        grip: Where its state has the grip's position, such as "observation.state[0:3]"; by names
+            when empty.
+        count: Episodes that are drawn over, of each view; 0 looks at no picture.
+        console: For progress; silent when None.
+
+    Raises:
+        ConfigError: `grip` names no three columns of the state.
+    """
+    meaning = meaning_of(recording, grip)
+    judged = [Judged(_about(recording)), *check_numbers(recording, meaning)]
+    judged += check_calibrations(recording)
+    wrong = {j.finding.what for j in judged if j.finding.mark == "bad"}
+    columns = meaning.grip if not wrong & {"numbers", "shapes", "camera poses"} else None
+    if columns is None:
+        judged.append(_no_grip(known=meaning.grip is not None))
+    elif not count:
+        judged += check_sights(recording, columns, unusable=_explained(judged))
+    overlays = None
+    if count:
+        looks = Looks(recording)
+        episodes = chosen(len(recording.episodes), LOOKED).tolist()
+        _look(looks, episodes, console)
+        if columns is not None:
+            wrong_K = _explained(judged)
+            evidence = Evidence.of(recording, films_of(looks, episodes, columns, wrong_K))
+            judged += check_sights(recording, columns, evidence.of_reading, wrong_K)
+            judged += check_places(evidence.without(_explained(judged)))
+        judged += _pictures(looks, columns)
+        judged += check_stills(looks, episodes)
+        if "camera poses" not in wrong:
+            overlays = draw_overlays(looks, episodes, columns, max(1, count // 2))
+    total = suspicion(judged, len(recording.episodes))
+    worst = ranking(recording, total)
+    return Report(
+        title=recording.path.name,
+        subtitle=f"Recorded dataset of {len(recording.episodes)} episodes.",
+        findings=[j.finding for j in (*judged, *([worst] if worst else []))],
+        numbers=statistics(recording),
+        figures={"How suspicious each episode is, and how long.": _by_episode(recording, total)},
+        overlays=overlays,
+        caption=CAPTION,
+    )
+
+
+def _explained(judged: Sequence[Judged]) -> set[tuple[int, str]]:
+    """Episodes and views whose calibration is known to be wrong."""
+    return {(e, j.view) for j in judged if j.explained for e in j.episodes}
+
+
+def _about(recording: Recording) -> Finding:
+    asked = {e.instruction for e in recording.episodes if e.instruction}
+    got = (
+        f"{len(recording.episodes)} episodes, {sum(e.length for e in recording.episodes)} steps; "
+        f"views {some(recording.views)}; {len(recording.state_names)} numbers of state, "
+        f"{len(recording.action_names)} of action; {len(asked)} instructions"
+    )
+    return good("dataset", got=got)
+
+
+def _no_grip(*, known: bool) -> Judged:
+    if known:
+        return Judged(note("cameras", got="not held against the grip: see what must be mended"))
+    return Judged(
+        note(
+            "cameras",
+            got="not held against the grip: no names say where the state has its position",
+            fix="Give --grip observation.state[0:3] with the columns of x, y, z (base frame, m).",
+        )
+    )
+
+
+def _look(looks: Looks, episodes: Sequence[int], console: Console | None) -> None:
+    films = [(e, v) for e in episodes for v in looks.recording.episodes[e].sights]
+    with progress(console, "looking", len(films)) as advance:
+        for episode, view in films:
+            looks.at(episode, view)
+            advance()
+
+
+def _pictures(looks: Looks, grip: Sequence[int] | None) -> Iterator[Judged]:
+    """Whether pictures can be decoded, are not of one colour, and move."""
+    recording = looks.recording
+    for (episode, view), why in looks.broken.items():
+        where = f"view {view}, {names(recording, [episode])}"
+        fix = "Copy that file anew, or leave the episode out."
+        yield Judged(bad("pictures", got=why, where=where, fix=fix), (episode,))
+    blank: dict[str, list[int]] = {}
+    frozen: dict[str, list[int]] = {}
+    total = 0
+    for view in recording.views:
+        for e, look in looks.of(view).items():
+            total += len(look.grey)
+            if any(map(is_blank, look.grey)):
+                blank.setdefault(view, []).append(e)
+            elif _goes(recording, e, grip) and (look.grey == look.grey[0]).all():
+                frozen.setdefault(view, []).append(e)
+    for words, odd in (("of one colour", blank), ("all the same", frozen)):
+        for view, episodes in odd.items():
+            where = f"view {view}, {names(recording, episodes)}"
+            fix = "Leave those out: a policy learns from them to ignore its eyes."
+            finding = bad("pictures", got=f"pictures are {words}", where=where, fix=fix)
+            yield Judged(finding, tuple(episodes))
+    if not (looks.broken or blank or frozen):
+        yield Judged(
+            good("pictures", got=f"{total} looked at; none is blank, no film stands still")
+        )
+
+
+def _goes(recording: Recording, episode: int, grip: Sequence[int] | None) -> bool:
+    """Whether the robot moves in an episode, as far as can be said."""
+    state = recording.episodes[episode].state
+    if len(state) < 2 or grip is None:
+        return False
+    return bool(np.linalg.norm(np.ptp(state[:, list(grip)], axis=0)) > WAY)
+
+
+@styled
+def _by_episode(recording: Recording, total: np.ndarray) -> Figure:
+    figure, (odd, long) = side_by_side((8.2, 3.2), columns=2)
+    rows = np.arange(len(total))
+    odd.bar(rows, total, color=BLUE, width=0.9)
+    odd.set(xlabel="episode", ylabel="weight of findings", title="Suspicion")
+    odd.set_ylim(0, max(1.0, float(total.max(initial=0)) * 1.1))
+    long.bar(rows, [e.length for e in recording.episodes], color=BLUE, edgecolor=FAINT, width=1)
+    long.set(xlabel="episode", ylabel="steps", title="Lengths")
+    return figure
