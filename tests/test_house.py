@@ -54,6 +54,12 @@ ELSEWHERE = {
     "interop/droid/cameras": "interop/droid/test_reading",
     "interop/droid/videos": "interop/droid/test_reading",
     "interop/robosuite_witness": "interop/test_robosuite_commands",
+    # One film, one good copy and its faults, serve all tests of these.
+    "checks/recorded/bases": "checks/recorded/test_places",
+    "checks/recorded/judged": "checks/recorded/test_places",
+    "checks/recorded/looks": "checks/recorded/test_report",
+    "checks/recorded/motion": "checks/recorded/test_places",
+    "checks/recorded/overlays": "checks/recorded/test_report",
     "files/json": "interop/cameras/test_files",
     "data/recorded/recording": "data/recorded/test_parts",
     "pipeline/simulated": "pipeline/test_train",

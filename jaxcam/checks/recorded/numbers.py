@@ -258,7 +258,7 @@ def _outliers(recording: Recording) -> Judged:
     )
 
 
-def statistics(recording: Recording) -> list[Spread]:
+def statistics_of_recording(recording: Recording) -> list[Spread]:
     """Least, middle and largest value of each number."""
     rows = [("steps", np.array([e.length for e in recording.episodes]))]
     for what, columns in _columns(recording).items():

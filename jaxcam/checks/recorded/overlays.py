@@ -20,7 +20,7 @@ from jaxcam.data.recorded.recording import Sight
 from jaxcam.rays import Camera
 
 
-def draw_overlays(
+def draw_looks(
     looks: Looks, episodes: Sequence[int], grip: Sequence[int] | None, count: int
 ) -> np.ndarray | None:
     """Pictures of each view in some episodes, drawn over, as a sheet; None if there are none.

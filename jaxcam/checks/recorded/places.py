@@ -17,7 +17,7 @@ BETTER = 0.08
 """By how much another camera's pose must fit better to be the right one."""
 MOST = 0.5
 """Share of the episodes from which on all may be meant."""
-Fits = Mapping[tuple[str, str], Mapping[int, np.ndarray]]
+FitTable = Mapping[tuple[str, str], Mapping[int, np.ndarray]]
 """How well the calibration of the second view fits the first, by the episode."""
 
 
@@ -27,11 +27,11 @@ class Evidence:
 
     recording: Recording
     films: Sequence[Filmed] = field(repr=False)
-    fits: Fits = field(repr=False)
+    fits: FitTable = field(repr=False)
 
     @classmethod
     def of(cls, recording: Recording, films: Sequence[Filmed]) -> "Evidence":
-        """Fits of each view's own calibration, and of those of the other views."""
+        """FitTable of each view's own calibration, and of those of the other views."""
         fits: dict[tuple[str, str], dict[int, np.ndarray]] = {}
         sights = {(film.episode, film.view): film.sight for film in films}
         for film in films:

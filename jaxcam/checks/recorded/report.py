@@ -13,8 +13,8 @@ from jaxcam.checks.recorded.cameras import check_calibrations, check_sights
 from jaxcam.checks.recorded.judged import Judged, names, ranking, suspicion
 from jaxcam.checks.recorded.looks import Looks
 from jaxcam.checks.recorded.motion import films_of
-from jaxcam.checks.recorded.numbers import check_numbers, statistics
-from jaxcam.checks.recorded.overlays import draw_overlays
+from jaxcam.checks.recorded.numbers import check_numbers, statistics_of_recording
+from jaxcam.checks.recorded.overlays import draw_looks
 from jaxcam.checks.recorded.places import Evidence, check_places
 from jaxcam.checks.recorded.stills import check_stills
 from jaxcam.console.progress import progress
@@ -71,14 +71,14 @@ def check_recorded(
         judged += _pictures(looks, columns)
         judged += check_stills(looks, episodes)
         if "camera poses" not in wrong:
-            overlays = draw_overlays(looks, episodes, columns, max(1, count // 2))
+            overlays = draw_looks(looks, episodes, columns, max(1, count // 2))
     total = suspicion(judged, len(recording.episodes))
     worst = ranking(recording, total)
     return Report(
         title=recording.path.name,
         subtitle=f"Recorded dataset of {len(recording.episodes)} episodes.",
         findings=[j.finding for j in (*judged, *([worst] if worst else []))],
-        numbers=statistics(recording),
+        numbers=statistics_of_recording(recording),
         figures={"How suspicious each episode is, and how long.": _by_episode(recording, total)},
         overlays=overlays,
         caption=CAPTION,

@@ -8,7 +8,7 @@ import pytest
 from filmed import with_state
 from robots import recording as robot
 
-from jaxcam.checks.recorded.numbers import check_numbers, statistics
+from jaxcam.checks.recorded.numbers import check_numbers, statistics_of_recording
 from jaxcam.data.recorded.parts import meaning_of
 
 
@@ -118,7 +118,7 @@ def test_noise_and_switches_do_not_jump(data):
 
 
 def test_statistics_have_a_row_for_each_number(data):
-    rows = statistics(data)
+    rows = statistics_of_recording(data)
     assert [row[0] for row in rows[:3]] == ["steps", "state, ee_x", "state, ee_y"]
     assert len(rows) == 1 + len(data.state_names) + len(data.action_names)
     assert rows[0][1:] == ("10", "12", "14")
