@@ -60,8 +60,8 @@ class Settings:
     """Folder to write, new."""
     episodes: int = 18
     """Demonstrations."""
-    rows: int = 64
-    """Rows of the side's and the wrist's pictures; the front's have a quarter more."""
+    rows: int = 72
+    """Rows of the side's and the wrist's pictures, an even number; the front has a quarter more."""
     quick: bool = False
     """A toy: two episodes of small pictures."""
     data_dir: Path = Path("data")
@@ -82,10 +82,11 @@ class Eye(NamedTuple):
 def eyes_of(rows: int) -> dict[str, Eye]:
     """How the three cameras see, by their names."""
     wide = rows * 5 // 8 * 2
+    columns, wide_columns = (side * 2 // 3 * 2 for side in (rows, wide))  # even, as videos want it
     return {
-        "front": _eye(wide, wide * 4 // 3, focal=0.75, shift=(1.8, -1.2), lens=LENS),
-        "side": _eye(rows, rows * 4 // 3, focal=1.15, shift=(-0.7, 0.4)),
-        "wrist": _eye(rows, rows * 4 // 3, focal=0.75, shift=(0.0, 0.9)),
+        "front": _eye(wide, wide_columns, focal=0.75, shift=(1.8, -1.2), lens=LENS),
+        "side": _eye(rows, columns, focal=1.15, shift=(-0.7, 0.4)),
+        "wrist": _eye(rows, columns, focal=0.75, shift=(0.0, 0.9)),
     }
 
 
@@ -274,6 +275,8 @@ def main(settings: Settings, console: Console) -> None:
     """Makes the dataset."""
     if settings.out.exists():
         raise SystemExit(f"{settings.out} exists. Choose another folder, or delete it first.")
+    if settings.rows % 2:
+        raise SystemExit(f"--rows is even, as videos want it; got {settings.rows}.")
     episodes, rows = (2, 24) if settings.quick else (settings.episodes, settings.rows)
     config = CollectConfig(
         scene="fixed", demos=episodes, validation=0, n=1, m=0, data_dir=str(settings.data_dir)
