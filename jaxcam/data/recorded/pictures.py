@@ -87,7 +87,7 @@ def _decode(
                     done, batch = done + len(batch), []
             if done != episode.length or batch:
                 raise DatasetError(
-                    f"{recording.path}: episode {episode.name} has {episode.length} steps, but "
+                    f"{recording.path}: episode '{episode.name}' has {episode.length} steps, but "
                     f"view {view} has {done + len(batch)} pictures."
                 )
     cache.finish()
