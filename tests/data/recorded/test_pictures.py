@@ -49,5 +49,7 @@ def test_a_film_that_is_too_short_is_refused(tmp_path):
     short = lambda: list(sight.decode())[:-2]  # noqa: E731
     episode.sights["side"] = dataclasses.replace(sight, decode=lambda: iter(short()))
     parts = parts_of(recording, HeldOut(count=0), 1)
-    with pytest.raises(DatasetError, match="episode '1' has 11 steps, but view side has 9 pictures"):
+    with pytest.raises(
+        DatasetError, match="episode '1' has 11 steps, but view side has 9 pictures"
+    ):
         load_recorded_pictures(recording, parts, SIZE, tmp_path)
