@@ -111,9 +111,10 @@ def parts_of(recording: Recording, held_out: HeldOut, views: int) -> Parts:
     for i in (*training, *validation):
         if len(seen_by[i]) < views:
             some = f"Give --views {len(seen_by[i])}" if seen_by[i] else "Leave the episode out"
+            name = recording.episodes[i].name
             raise ConfigError(
-                f"{path}: episode '{recording.episodes[i].name}' is seen by {len(seen_by[i])} views "
-                f"for training ({', '.join(seen_by[i]) or 'none'}), but the policy sees {views}. "
+                f"{path}: episode '{name}' is seen by {len(seen_by[i])} views for training "
+                f"({', '.join(seen_by[i]) or 'none'}), but the policy sees {views}. "
                 f"{some}, or hold fewer views out."
             )
     parts = [Part(i, tuple(seen_by[i]), "training") for i in training]

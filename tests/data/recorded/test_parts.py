@@ -89,7 +89,7 @@ def test_a_view_that_did_not_see_an_episode(tmp_path):
                 pose = sight.calibration.base_from_camera
                 np.testing.assert_allclose(batch["base_from_camera"][row, place], pose, rtol=1e-6)
     del recording.episodes[1].sights["side"], recording.episodes[1].sights["front"]
-    with pytest.raises(ConfigError, match="is seen by 0 views .* Leave the episode out"):
+    with pytest.raises(ConfigError, match=r"is seen by 0 views .* Leave the episode out"):
         parts_of(recording, HeldOut(("wrist",), (3,)), 1)
 
 
