@@ -6,8 +6,12 @@ import re
 import pytest
 from places import REPO
 
-PAGES = [REPO / "README.md", *sorted((REPO / "docs").glob("*.md"))]
-PATH = re.compile(r"(?:jaxcam|tests|benchmarks|grids|constraints|\.ci)/[\w./-]*\w")
+PAGES = [
+    REPO / "README.md",
+    *sorted((REPO / "docs").glob("*.md")),
+    *sorted((REPO / "examples").rglob("*.md")),
+]
+PATH = re.compile(r"(?:jaxcam|tests|benchmarks|examples|grids|constraints|\.ci)/[\w./-]*\w")
 MODULE = re.compile(r"(?:from |import |python -m )(jaxcam(?:\.[a-z_]\w*)*)")
 LINK = re.compile(r"\]\(([^)#:]+)(?:#[^)]*)?\)")
 

@@ -10,7 +10,7 @@ from places import REPO
 
 TREES = {
     path.relative_to(REPO): ast.parse(path.read_text("utf-8"))
-    for folder in ("jaxcam", "tests", "benchmarks")
+    for folder in ("jaxcam", "tests", "benchmarks", "examples")
     for path in sorted((REPO / folder).rglob("*.py"))
 }
 PACKAGE = {path: tree for path, tree in TREES.items() if path.parts[0] == "jaxcam"}

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from rich.console import Console
 
+from jaxcam.config.fields import overrides
 from jaxcam.config.sizes import rows_and_columns, size_name
 from jaxcam.config.train import TrainConfig
 from jaxcam.data.batches import Dataset
@@ -94,9 +95,8 @@ class Recorded:
             videos=0,
         )
         meaning = self.meaning(config)
-        weights = "keyframe_weight" in {text.partition("=")[0] for text in config.model}
-        if config.policy != "smolvla" and not weights and None in (meaning.grip, meaning.gripper):
-            config = replace(config, model=(*config.model, "keyframe_weight=0"))
+        if config.policy != "smolvla" and None in (meaning.grip, meaning.gripper):
+            config = replace(config, model=_without_keyframes(config.model))
         return config
 
     def _check_given(self, config: TrainConfig) -> None:
@@ -188,6 +188,20 @@ class Recorded:
             for row in rows:
                 console.print(_in_words(row), soft_wrap=True)
             console.print(f"Report: {report}", soft_wrap=True)
+
+
+def _without_keyframes(model: tuple[str, ...]) -> tuple[str, ...]:
+    """Changes to a network that learns no keyframes, since nobody says where they are."""
+    weight = overrides(model).get("keyframe_weight")
+    if weight is None:
+        return (*model, "keyframe_weight=0")
+    if weight != 0:
+        raise ConfigError(
+            f"keyframe_weight={weight} needs to know where the grip is and what opens it: name the "
+            "grip's place in the state, --grip observation.state[0:3], and let the dataset name a "
+            "number of the action after the gripper. Or leave keyframe_weight out."
+        )
+    return model
 
 
 def _held_out(config: TrainConfig) -> HeldOut:

@@ -154,10 +154,11 @@ def errors_by_horizon(rows: Sequence[ActionErrors]) -> Figure:
     figure, (axes,) = side_by_side((6.4, 3.5))
     colours = {"new episodes": BLUE, "new cameras": VERMILION}
     for row in rows:
-        by_step = np.nanmean(row.relative, (0, 2))
+        steps = np.flatnonzero(np.isfinite(row.relative).any((0, 2)))  # that an episode reaches
+        by_step = np.nanmean(row.relative[:, steps], (0, 2))
         wrong = bool(row.rotation_deg or row.translation)
         axes.plot(
-            np.arange(1, len(by_step) + 1), by_step, label=_label(row),
+            steps + 1, by_step, label=_label(row),
             color=colours.get(row.group, BLUE), linestyle="--" if wrong else "-",
         )  # fmt: skip
     axes.axhline(1, color="0.6", linewidth=0.8)
@@ -184,7 +185,7 @@ def errors_by_number(rows: Sequence[ActionErrors]) -> Figure:
         at = np.arange(len(names)) + (place - (len(right) - 1) / 2) * height
         axes.barh(at, np.nanmean(row.relative, (0, 1)), height, label=row.group,
                   color=colours.get(row.group, BLUE))  # fmt: skip
-    axes.set_yticks(range(len(names)), names)
+    axes.set_yticks(range(len(names)), names, parse_math=False)  # a dollar is a dollar
     axes.invert_yaxis()
     axes.axvline(1, color="0.6", linewidth=0.8)
     axes.set_xlabel("error (deviations)")

@@ -101,6 +101,11 @@ def test_the_grip_is_known_by_its_names_or_by_a_flag(folder):
     assert "keyframe_weight=0" not in source.complete(config).model
     object.__setattr__(folder[1]["recording"], "action_names", ("a", "b", "c", "d", "e"))
     assert "keyframe_weight=0" in source_of(config).complete(config).model
+    off = settings(folder, model=("keyframe_weight=0",))
+    assert source_of(off).complete(off).model == off.model
+    on = settings(folder, model=("keyframe_weight=0.1",))
+    with pytest.raises(ConfigError, match="needs to know where the grip is"):
+        source_of(on).complete(on)
 
 
 def test_smolvla_takes_squares(folder):

@@ -141,6 +141,8 @@ def parts_of(recording: Recording, held_out: HeldOut, views: int) -> Parts:
         if view not in recording.views:
             raise ConfigError(f"{path} has no view '{view}'{closest(view, recording.views)}.")
     usual = [v for v in recording.views if v not in held_out.views]
+    if not usual:
+        raise ConfigError(f"{path}: no view remains for training. Hold fewer out.")
     validation = _episodes(recording, held_out)
     training = [i for i in range(len(recording.episodes)) if i not in validation]
     if not training:
@@ -148,14 +150,16 @@ def parts_of(recording: Recording, held_out: HeldOut, views: int) -> Parts:
     seen_by = {i: _sighted(recording.episodes[i], usual) for i in range(len(recording.episodes))}
     for i in (*training, *validation):
         if len(seen_by[i]) < views:
+            some = f"Give --views {len(seen_by[i])}" if seen_by[i] else "Leave the episode out"
+            name = recording.episodes[i].name
             raise ConfigError(
-                f"{path}: episode {recording.episodes[i].name} is seen by {len(seen_by[i])} views "
-                f"for training ({', '.join(seen_by[i]) or 'none'}), but the policy sees {views}. "
-                f"Give --views {max(1, len(seen_by[i]))}, or hold fewer views out."
+                f"{path}: episode '{name}' is seen by {len(seen_by[i])} views for training "
+                f"({', '.join(seen_by[i]) or 'none'}), but the policy sees {views}. "
+                f"{some}, or hold fewer views out."
             )
     parts = [Part(i, tuple(seen_by[i]), "training") for i in training]
     parts += [Part(i, tuple(seen_by[i][:views]), "new episodes") for i in validation]
-    for view in held_out.views:
+    for view in dict.fromkeys(held_out.views):
         for i in validation or training[-1:]:
             if view in recording.episodes[i].sights:
                 company = seen_by[i][: views - 1]

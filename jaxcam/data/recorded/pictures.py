@@ -1,7 +1,8 @@
 """The pictures of a recorded dataset: decoded once, brought to a size, and kept in a cache.
 
 The cache is that of rendered pictures (`jaxcam.data.caches`): an interrupted decoding goes on, and
-what a run will look at is held against its checksums first.
+what a run will look at is held against its checksums first. Its name is that of the pictures, so
+that neither a new calibration nor another name of the folder makes anybody decode them again.
 """
 
 from pathlib import Path
@@ -46,8 +47,8 @@ def load_recorded_pictures(
     """
     layout = parts.layout(recording)
     wanted = np.ones(layout.total, bool) if wanted is None else wanted
-    name = f"{recording.path.name}-{recording.fingerprint}-{parts.digest}-{size_name(*size)}px.npy"
-    path, shape = folder / "frames" / name, (layout.total, *size, 3)
+    which = f"{recording.pictures_fingerprint}-{parts.digest}-{size_name(*size)}px.npy"
+    path, shape = folder / "frames" / f"recorded-{which}", (layout.total, *size, 3)
     cache = Cache(path, shape)
     if not (cache.complete and not cache.damaged(wanted).any()):
         with exclusive(path, console):
@@ -86,7 +87,7 @@ def _decode(
                     done, batch = done + len(batch), []
             if done != episode.length or batch:
                 raise DatasetError(
-                    f"{recording.path}: episode {episode.name} has {episode.length} steps, but "
+                    f"{recording.path}: episode '{episode.name}' has {episode.length} steps, but "
                     f"view {view} has {done + len(batch)} pictures."
                 )
     cache.finish()

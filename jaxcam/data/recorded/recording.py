@@ -104,3 +104,11 @@ class Recording:
     """Hash of all that training sees of it: numbers, calibrations, and which pictures."""
     valid: tuple[int, ...] = ()
     """Numbers of the episodes that the dataset itself holds out, if it says so."""
+    pictures: str = ""
+    """Hash of which pictures those are, whatever the calibrations; empty where a reader does not
+    tell them apart."""
+
+    @property
+    def pictures_fingerprint(self) -> str:
+        """What changes when decoded pictures are no longer those of this dataset."""
+        return self.pictures or self.fingerprint

@@ -82,7 +82,7 @@ def read_droid(
     """
     annotations = read_annotations(path)
     episodes, failures, unusable = [], 0, 0
-    seal = hashlib.sha256(actions.encode())
+    seal, films = hashlib.sha256(actions.encode()), hashlib.sha256()
     for folder in (folder for folder, files in _walk(path) if TRAJECTORY in files):
         metadata = read_metadata(folder)
         outcome = folder.relative_to(path).parts
@@ -90,7 +90,7 @@ def read_droid(
             failures += 1
             continue
         videos = _videos(folder)
-        episode = videos and _episode(folder, metadata, videos, annotations, actions, seal)
+        episode = videos and _episode(folder, metadata, videos, annotations, actions, (seal, films))
         if episode:
             episodes.append(episode)
         else:
@@ -112,6 +112,7 @@ def read_droid(
         rate=RATE,
         episodes=episodes,
         fingerprint=seal.hexdigest()[:16],
+        pictures=films.hexdigest()[:16],
     )
 
 
@@ -136,9 +137,12 @@ def _episode(
     videos: dict[str, Video],
     annotations: Annotations,
     actions: Actions,
-    seal: Any,
+    seals: tuple[Any, Any],
 ) -> Episode | None:
-    """One episode, whose content goes into the seal; None if the robot was never told to act."""
+    """One episode; None if the robot was never told to act.
+
+    What it has goes into the first seal, which pictures it has into both.
+    """
     path = folder / TRAJECTORY
     with open_hdf5(path, remedy=REMEDY) as file, reading(path, REMEDY):
         state, action = _state_and_action(file, actions)
@@ -166,6 +170,8 @@ def _episode(
     state, action = state[steps], action[steps]
     instruction = instruction_of(metadata, annotations)
     pictures = [(roles[serial], video.identity) for serial, video in used.items()]
+    seal, films = seals
+    films.update(repr((metadata.uuid, steps.tolist(), pictures)).encode())
     seal.update(repr((metadata.uuid, instruction, steps.tolist(), pictures)).encode())
     seal.update(state.tobytes() + action.tobytes())
     return Episode(metadata.uuid, state, action, instruction, sights)

@@ -92,7 +92,8 @@ def read_lerobot(
 
     The fingerprint is a hash of all numbers, names, instructions and calibrations, and of the files
     of pictures: their names in the folder, their sizes, and of a table of images all of its
-    content, of a video its first and last 64 KiB (`identity_of_video` says why).
+    content, of a video its first and last 64 KiB (`identity_of_video` says why). That of the
+    pictures is of these files alone, and of which picture belongs to which step.
 
     Args:
         path: The folder, which has `meta/info.json`.
@@ -149,7 +150,7 @@ def read_lerobot(
         fingerprint="",
         valid=held_out(root, info, places),
     )
-    return replace(recording, fingerprint=_fingerprint(recording, clips))
+    return _sealed(recording, clips)
 
 
 def _tolerance(asked: float | None, info: Info) -> float:
@@ -290,28 +291,44 @@ def _calibration(clip: AnyClip, rows: EpisodeRows, columns: Mapping[str, str]) -
     )
 
 
-def _fingerprint(recording: Recording, clips: Sequence[Mapping[str, AnyClip]]) -> str:
-    """16 hex digits for all that training sees, see `read_lerobot`."""
-    digest, known = hashlib.sha256(), {}  # identities of files
-
-    def add(*values: object) -> None:
-        for value in values:
-            data = value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode()
-            digest.update(len(data).to_bytes(8, "little") + data)
-
-    add(recording.views, recording.state_names, recording.action_names)
-    add(recording.rate, recording.valid)
+def _sealed(recording: Recording, clips: Sequence[Mapping[str, AnyClip]]) -> Recording:
+    """The recording with its fingerprints: 16 hex digits each, see `read_lerobot`."""
+    whole, pictures = _Seal(), _Seal()
+    known: dict[Path, bytes] = {}  # identities of files
+    whole.add(recording.views, recording.state_names, recording.action_names)
+    whole.add(recording.rate, recording.valid)
     for episode, by_view in zip(recording.episodes, clips, strict=True):
-        add(episode.instruction, episode.state, episode.action)
+        whole.add(episode.instruction, episode.state, episode.action)
+        pictures.add(len(by_view))
         for view, clip in by_view.items():
             file, camera = clip.file, episode.sights[view].calibration
             if file not in known:
                 known[file] = _identity(clip)
             place = clip.first if isinstance(clip, ImageClip) else clip.times
-            add(view, str(file.relative_to(recording.path)), known[file], place)
+            shown = (view, str(file.relative_to(recording.path)), known[file], place)
+            whole.add(*shown)
+            pictures.add(*shown, episode.length)
             if camera is not None:
-                add(camera.K, camera.base_from_camera, camera.distortion)
-    return digest.hexdigest()[:16]
+                whole.add(camera.K, camera.base_from_camera, camera.distortion)
+    return replace(recording, fingerprint=whole.text, pictures=pictures.text)
+
+
+class _Seal:
+    """A hash of values, one after the other."""
+
+    def __init__(self) -> None:
+        self._digest = hashlib.sha256()
+
+    def add(self, *values: object) -> None:
+        """Goes on with values."""
+        for value in values:
+            data = value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode()
+            self._digest.update(len(data).to_bytes(8, "little") + data)
+
+    @property
+    def text(self) -> str:
+        """16 hex digits."""
+        return self._digest.hexdigest()[:16]
 
 
 def _identity(clip: AnyClip) -> bytes:

@@ -55,13 +55,42 @@ def test_the_datasets_own_split_and_the_usual_one(tmp_path):
         (HeldOut(views=("frnt",)), 1, "has no view 'frnt'.*did you mean 'front'"),
         (HeldOut(episodes=(9,)), 1, "has no episode 9: its 4 are 0 to 3"),
         (HeldOut(episodes=(0, 1, 2, 3)), 1, "no episode remains"),
-        (HeldOut(), 3, r"episode 0 is seen by 2 views .* Give --views 2"),
+        (HeldOut(), 3, r"episode '0' is seen by 2 views .* Give --views 2"),
         (HeldOut(views=("side",)), 2, "Give --views 1"),
+        (HeldOut(views=("side", "front")), 1, "no view remains for training"),
     ],
 )
 def test_what_cannot_be_held_out(tmp_path, held_out, views, words):
     with pytest.raises(ConfigError, match=words):
         parts_of(robots.recording(tmp_path), held_out, views)
+
+
+def test_a_view_that_is_held_out_twice_is_judged_once(tmp_path):
+    recording = robots.recording(tmp_path)
+    once, twice = (parts_of(recording, HeldOut(("side",) * n, (1,)), 1) for n in (1, 2))
+    assert once == twice
+
+
+def test_a_view_that_did_not_see_an_episode(tmp_path):
+    views = ("front", "side", "wrist")
+    recording = robots.recording(tmp_path, views=views)
+    del recording.episodes[2].sights["side"]
+    with pytest.raises(ConfigError, match=r"'2' is seen by 2 views .*front, wrist.* --views 2"):
+        parts_of(recording, ONE, 3)
+    parts, data = made(tmp_path, recording, ONE, views=2)
+    assert [len(window) for window in data.windows] == [len(p.views) for p in parts.all]
+    for seed in range(20):
+        demo, t, cameras = data.samples.index(seed, 0, parts.train, 2)
+        batch = data.batch(demo, t, cameras, chunk=2)
+        for row, d in enumerate(demo):
+            part = parts.all[d]
+            for place, camera in enumerate(cameras[row]):
+                sight = recording.episodes[part.episode].sights[part.views[camera]]
+                pose = sight.calibration.base_from_camera
+                np.testing.assert_allclose(batch["base_from_camera"][row, place], pose, rtol=1e-6)
+    del recording.episodes[1].sights["side"], recording.episodes[1].sights["front"]
+    with pytest.raises(ConfigError, match=r"is seen by 0 views .* Leave the episode out"):
+        parts_of(recording, HeldOut(("wrist",), (3,)), 1)
 
 
 def test_each_picture_has_its_own_camera(tmp_path):

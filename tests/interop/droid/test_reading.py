@@ -161,6 +161,7 @@ def test_other_actions(root):
     assert recording.action_names == ("x", "y", "z", "roll", "pitch", "yaw", "gripper")
     assert recording.episodes[0].action.shape == (LENGTH, 7)
     assert recording.fingerprint != read_droid(root).fingerprint
+    assert recording.pictures == read_droid(root).pictures != ""
 
 
 def nothing(folder):

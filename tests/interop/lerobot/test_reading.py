@@ -119,8 +119,9 @@ def test_written_and_read_are_inverse(tmp_path):
 
 def test_the_fingerprint_is_of_all_that_training_sees(copied, originals, tmp_path):
     root = copied()
-    whole = read_lerobot(root).fingerprint
-    assert len(whole) == 16
+    recording = read_lerobot(root)
+    whole, pictures = recording.fingerprint, recording.pictures
+    assert len(whole) == len(pictures) == 16
     assert read_lerobot(originals()[0]).fingerprint == whole  # wherever the folder is
     prints = {whole}
     edit_info(root, fps=10)
@@ -133,7 +134,9 @@ def test_the_fingerprint_is_of_all_that_training_sees(copied, originals, tmp_pat
     tasks = pa.table({"task_index": [0, 1], "task": ["Another.", "Two."]})
     parquet.write_table(tasks, root / "meta/tasks.parquet")
     prints.add(read_lerobot(root).fingerprint)
+    assert read_lerobot(root).pictures == pictures
     write_mp4(video_file(root), [picture(3, t, 0) for t in range(10)])
+    assert read_lerobot(root).pictures != pictures
     prints.add(read_lerobot(root).fingerprint)
     rows = parquet.read_table(data_file(root)).column("action").to_pylist()
     edit_table(data_file(root), action=[*rows[:-1], [0.0, 1.0]])
