@@ -37,6 +37,8 @@ FREE_TO_CHANGE = frozenset({
 # Of the settings that leave training as it was, these say what was trained on and how the
 # policy was run; seeds and how updates are computed differ between runs compared as one.
 _OWN = {"seed", "steps_per_call", "accumulate"}
+_OF_RECORDED = ("cameras", "grip", "hold_out_view", "hold_out_episodes")
+"""What only runs that learn from a recorded dataset have."""
 _NO_IDENTITY = (FREE_TO_CHANGE | _OWN) - {"dataset", "cameras", "engine", "ensemble"}
 RECORDED = "recorded"
 """The task of a run that learns from a recorded dataset."""
@@ -209,8 +211,15 @@ def identity(config: TrainConfig) -> Settings:
     values["model"] = list(config.model)
     if config.action_space != "eef_abs":
         del values["rotations"]  # they are none of its actions'
+    if config.task == RECORDED:
+        values |= {
+            name: list(getattr(config, name)) for name in ("hold_out_view", "hold_out_episodes")
+        }
+        values["cameras"] = Path(config.cameras).stem
+    else:
+        for name in _OF_RECORDED:
+            del values[name]
     values["dataset"] = Path(config.dataset).stem
-    values["cameras"] = Path(config.cameras).stem
     values["weights"] = Path(config.weights).stem
     return values
 

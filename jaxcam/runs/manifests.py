@@ -57,14 +57,14 @@ class StartingWeights:
     """What weights a run started from, as its `weights.json` has it.
 
     Attributes:
-        file: Their path.
         kind: What they are; None where nobody knew.
         sha256: Of the file.
+        file: Their path.
     """
 
-    file: str = ""
-    kind: str | None = None
+    kind: str | None
     sha256: str = ""
+    file: str = ""
 
 
 def record_of_weights(run: Path) -> StartingWeights | None:

@@ -140,7 +140,7 @@ def test_a_record_of_weights_that_is_damaged_is_told(tmp_path, text):
     config = resolve(TrainConfig(weights="resnet18.pth"), accelerator=False)
     (tmp_path / "config.json").write_text(to_json(config))
     (tmp_path / "weights.json").write_text(text)
-    with pytest.raises(DatasetError, match=r"weights.json is damaged"):
+    with pytest.raises(ConfigError, match=r"weights.json is damaged"):
         read_runs([tmp_path])
     (tmp_path / "weights.json").write_text('{"kind": null, "sha256": "123456789"}')
     assert read_runs([tmp_path])[0].settings["weights"] == "resnet18 12345678"
