@@ -64,14 +64,24 @@ def test_second_signal_stops_at_once(second):
 STARTS = ["-m jaxcam.weights", "-m jaxcam.lerobot", "-m jaxcam"]
 
 
+@pytest.fixture
+def heeded():
+    """Ctrl-C reaches new processes even if the tests run in the background, where it is ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.mark.parametrize("command", STARTS)
+@pytest.mark.usefixtures("heeded")
 def test_ctrl_c_while_a_command_starts_is_one_line(command, tmp_path):
     """Whatever is imported then: here a module that is slow and gives signals away."""
     (tmp_path / "tyro.py").write_text(SLOW)
     (tmp_path / "rich.py").write_text(SLOW)
     where = {**os.environ, "PYTHONPATH": f"{tmp_path}:{REPO}"}
     process = subprocess.Popen([sys.executable, *command.split()], env=where,
-                               stdout=subprocess.PIPE, stderr=subprocess.PIPE)  # fmt: skip
+                               stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                               )  # fmt: skip
     with process:
         assert process.stdout.readline() == b"ready\n"
         process.send_signal(signal.SIGINT)
@@ -89,9 +99,11 @@ except BaseException:
 """
 
 
+@pytest.mark.usefixtures("heeded")
 def test_a_program_that_imports_jaxcam_keeps_its_signals():
     script = "import signal, jaxcam; print(signal.getsignal(2) is signal.default_int_handler)"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(command, capture_output=True, text=True)
     assert done.stdout == "True\n"
 
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxcam.config.fields import check_types
+from jaxcam.config.fields import check_types, fill
 from jaxcam.config.sizes import size_name
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import CheckpointError, ConfigError
@@ -48,7 +48,7 @@ from jaxcam.models.weights.load import Weights, load, read_weights, record_weigh
 from jaxcam.models.weights.names import MAPS
 from jaxcam.models.weights.names_robot import Arrays
 from jaxcam.runs.folder import RunDir
-from jaxcam.runs.identity import resolve
+from jaxcam.runs.identity import USUAL_SPACE, resolve
 from jaxcam.sim.actions import action_dim, is_delta
 from jaxcam.sim.world import PROPRIO_DIM
 from jaxcam.training.checkpoint import Checkpoints, PolicyInputs, rebuild_policy, records_of
@@ -333,6 +333,7 @@ def adopt(folder: Path, config: TrainConfig) -> list[str]:
         CheckpointError: It is not whole, our network has no place for it, or it does not fit the
             task; or the run's folder has checkpoints.
     """
+    config = fill(config, action_space=USUAL_SPACE)
     foreign = read_foreign(folder, config)
     spec, weights = foreign.spec, foreign.weights
     named = {"policy": foreign.policy, "preset": "lerobot", "conditioning": "none"}

@@ -39,7 +39,7 @@ def test_columns_of_lerobot(tmp_path):
     root, side = tmp_path / "droid", 64
     features = {"observation.state": feature("float32", (2,)), "action": feature("float32", (2,))}
     for view in VIEWS:
-        features[f"observation.images.{view}"] = video_feature(side, 15)
+        features[f"observation.images.{view}"] = video_feature(side, side, 15)
         features[f"camera_extrinsics.{view}"] = feature("float32", (6,))
     with Writer(root, features, 15, "move it") as writer:
         for length in (4, 5):

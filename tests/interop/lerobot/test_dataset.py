@@ -113,7 +113,7 @@ def test_rows_are_the_demonstrations(folder, data):
             poses = np.array(rows[f"camera.view_{v}.base_from_camera"])
             np.testing.assert_array_equal(poses, [data.base_from_camera[camera]] * length)
             K = np.array(rows[f"camera.view_{v}.intrinsics"])
-            np.testing.assert_array_equal(K, [data.K.astype(np.float32)] * length)
+            np.testing.assert_array_equal(K, [data.K[camera]] * length)
         at += length
     assert parquet.ParquetFile(folder / path).num_row_groups == data.train
 
@@ -160,7 +160,7 @@ def test_statistics_are_those_of_all_rows(folder, data):
 
 def test_metadata_tells_the_cameras(folder, data, demos, lift):
     about = read_json(folder, "jaxcam")
-    np.testing.assert_allclose(about["intrinsics"], data.K)
+    np.testing.assert_allclose(about["intrinsics"], data.K[0])
     np.testing.assert_allclose(
         about["world_from_base"], lift.scene("randomized").world_from_base, atol=1e-12
     )
@@ -230,7 +230,7 @@ def test_files_that_grow_too_large_are_followed_by_others(tmp_path, monkeypatch)
     monkeypatch.setattr(lerobot_format, "DATA_MB", 1e-6)
     monkeypatch.setattr(lerobot_format, "VIDEO_MB", 1e-6)
     monkeypatch.setattr(lerobot_format, "CHUNK", 2)
-    features = {"action": feature("float32", (2,)), "v": video_feature(16, 20)}
+    features = {"action": feature("float32", (2,)), "v": video_feature(16, 16, 20)}
     rng = np.random.default_rng(0)
     with Writer(tmp_path, features, 20, "try") as writer:
         for _ in range(3):

@@ -26,6 +26,7 @@ from jaxcam.models.normalization import (
     proprio_range,
 )
 from jaxcam.models.weights.load import read_weights
+from jaxcam.runs.identity import read_config
 from jaxcam.training.checkpoint import load_policy_inputs
 
 pytest.importorskip("safetensors")
@@ -140,13 +141,13 @@ def test_what_differs_there_is_told(tmp_path):
     assert "computes in bfloat16" in rounding
 
 
-def test_oblong_images_are_told(tmp_path):
+def test_oblong_images_are_taken(tmp_path):
     export_policy(inputs_of(settings_for("act")), tmp_path / "out")
     inputs = json.loads((tmp_path / "out/config.json").read_text())["input_features"]
     inputs["observation.images.view_0"]["shape"] = [3, 96, 128]
     edited(tmp_path / "out", input_features=inputs)
-    with pytest.raises(CheckpointError, match="images of 96 rows and 128 columns; ours are square"):
-        adopt(tmp_path / "out", TrainConfig(run_dir=str(tmp_path / "run")))
+    adopt(tmp_path / "out", TrainConfig(run_dir=str(tmp_path / "run")))
+    assert read_config(tmp_path / "run").resolution == "96x128"
 
 
 def edited(folder, **changes):
