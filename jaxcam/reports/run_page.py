@@ -146,7 +146,7 @@ def _errors(rows: Sequence[ActionErrors]) -> list[tuple[str, str, str, int]]:
         if row.step == newest:
             value, low, high = row.mean()
             span = f" [{low:.2f}, {high:.2f}]" if low == low else ""
-            off = f"off by {row.rotation_deg:g}° and {100 * row.translation:g} cm"
+            off = f"{row.rotation_deg:g}°, {100 * row.translation:g} cm off"
             poses = off if row.rotation_deg or row.translation else "as calibrated"
             lines.append((row.group, poses, f"{value:.2f}{span}", len(row.errors)))
     return lines
