@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxcam.checks.findings import Finding, Mark, note
 from jaxcam.console.words import some
-from jaxcam.data.recorded.recording import Recording
+from jaxcam.data.recorded.recording import Episode, Recording
 
 WEIGHTS: dict[Mark, float] = {"good": 0.0, "note": 0.25, "bad": 1.0}
 """What a finding of each mark adds to the suspicion of an episode that it names."""
@@ -61,5 +61,10 @@ def ranking(recording: Recording, total: np.ndarray) -> Judged | None:
 
 def names(recording: Recording, episodes: Sequence[int]) -> str:
     """Episodes as a finding names the place."""
-    each = [recording.episodes[i].name for i in episodes]
+    each = [called(recording.episodes[i]).removeprefix("episode ") for i in episodes]
     return f"episode{'' if len(each) == 1 else 's'} {some(each)}" if each else ""
+
+
+def called(episode: Episode) -> str:
+    """An episode as a finding names it; LeRobot's are called "episode 3" already."""
+    return episode.name if episode.name.startswith("episode") else f"episode {episode.name}"

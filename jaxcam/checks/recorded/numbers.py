@@ -7,7 +7,7 @@ import numpy as np
 from jaxcam.checks.dataset import twins
 from jaxcam.checks.findings import bad, good, note
 from jaxcam.checks.numbers import SHORT, STILL, Spread
-from jaxcam.checks.recorded.judged import Judged, names
+from jaxcam.checks.recorded.judged import Judged, called, names
 from jaxcam.console.words import some
 from jaxcam.data.recorded.parts import Meaning
 from jaxcam.data.recorded.recording import Episode, Recording
@@ -81,7 +81,7 @@ def _finite(recording: Recording) -> Judged:
             rows = np.flatnonzero(~np.isfinite(array).all(-1))
             if len(rows):
                 wrong.append(i)
-                places.append(f"{what} of episode {episode.name} from step {rows[0]} on")
+                places.append(f"{what} of {called(episode)} from step {rows[0]} on")
     if not wrong:
         return Judged(good("numbers", got="all are finite"))
     return Judged(

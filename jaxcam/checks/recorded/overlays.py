@@ -15,6 +15,7 @@ from jaxcam.checks.overlays import (
     draw_line,
     sheet,
 )
+from jaxcam.checks.recorded.judged import called
 from jaxcam.checks.recorded.looks import Look, Looks
 from jaxcam.data.recorded.recording import Sight
 from jaxcam.rays import Camera
@@ -39,7 +40,7 @@ def draw_looks(
             assert look is not None
             places = None if grip is None else episode.state[:, list(grip)].astype(float)
             pictures.append(_drawn(look, episode.sights[view], places))
-            captions.append(f"{view}  episode {episode.name}  step {look.middle}")
+            captions.append(f"{view}  {called(episode)}  step {look.middle}")
     return sheet(pictures, captions) if pictures else None
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxcam.checks.findings import bad, good, note
 from jaxcam.checks.recorded.cameras import same_key
-from jaxcam.checks.recorded.judged import Judged, names
+from jaxcam.checks.recorded.judged import Judged, called, names
 from jaxcam.checks.recorded.looks import Look, Looks
 from jaxcam.console.words import some
 
@@ -39,6 +39,8 @@ RESTLESS = 1 / 3
 """Share of the episodes that may be the first of a new place before the surroundings change."""
 ROLL_DEG = 0.7
 """Turn about the middle of the picture from which it is worth saying."""
+SURE = 2.0
+"""How many times `MOVED` a single episode must be elsewhere to be more than worth a look."""
 SAID = 4.0
 """How many times `MOVED` a pose must say that the picture moves for its not moving to be odd."""
 
@@ -236,10 +238,14 @@ def _moved(
     first = _first(view, before[-1], run[0])
     end = _first(view, run[-1], after[0]) if after else len(recording.episodes)
     odd = [e for e in range(first, end) if view.view in recording.episodes[e].sights]
-    which = names(recording, odd) if after else f"from episode {recording.episodes[first].name} on"
+    which = names(recording, odd) if after else f"from {called(recording.episodes[first])} on"
     words = view.in_words(before, [first, *(e for e in run if e != first)])
+    apart = view.apart(before[-1], run[0])
+    is_far = apart is not None and apart.pixels > SURE * view.limit(before[-1])
+    is_sure = len(run) > 1 or is_far
+    finding = bad if is_sure else note
     return Judged(
-        bad(
+        finding(
             "standing still",
             got=f"its picture has moved {words}; its pose has not",
             expected="what never moves at the same place in the picture",
@@ -264,12 +270,18 @@ def _places(view: _View, group: Sequence[int]) -> dict[int, int]:
         before = [e for e in places if places[e] == len(first_there) - 1]
         if True in answers:
             places[episode] = answers.index(True)
-        elif before and view.same(before[-1], episode):
+        elif before and _stands(view, before, episode):
             places[episode] = places[before[-1]]
         elif False in answers or (not first_there and view.same(episode, episode) is not None):
             places[episode] = len(first_there)
             first_there.append(episode)
     return places
+
+
+def _stands(view: _View, before: Sequence[int], episode: int) -> bool:
+    """Whether the camera stood where it stood last, as far as can be told."""
+    answers = (view.same(e, episode) for e in reversed(before))
+    return bool(next((answer for answer in answers if answer is not None), False))
 
 
 def _first(view: _View, before: int, after: int) -> int:
