@@ -9,7 +9,7 @@ import pytest
 from filmed import calibrations, filmed, room, turned, with_calibrations, with_pictures
 
 from jaxcam.checks.recorded.looks import Looks
-from jaxcam.checks.recorded.stills import Background, check_stills, shift
+from jaxcam.checks.recorded.stills import Background, Shift, check_stills, shift
 
 EPISODES = 6
 
@@ -147,3 +147,35 @@ def test_the_shift_is_that_of_the_picture(by):
     assert apart.pixels == pytest.approx(by, abs=0.1)
     assert apart.roll_deg == pytest.approx(0, abs=0.2)
     assert shift(Background(grey, 0 * still), Background(other, still)) is None
+
+
+@pytest.mark.parametrize(
+    ("last", "mark"),
+    [
+        ({0: 0.4, 3: 0.2, 4: None}, "good"),  # a little drift: it is where it stood last
+        ({0: 0.4, 3: 0.4, 4: 0.4}, "note"),  # one episode alone, a little off
+        ({0: 3.0, 3: 3.0, 4: 3.0}, "bad"),
+    ],
+)
+def test_one_episode_a_little_off_is_no_bump(data, monkeypatch, last, mark):
+    """How far the last episode's background is from those before; the others are at one place."""
+    made = {}
+
+    def numbered(look):
+        number = len(made)
+        made[number] = Background(np.full((96, 96), number, np.uint8), np.ones((96, 96), np.uint8))
+        return made[number]
+
+    def apart(one, other):
+        a, b = sorted((int(one.picture[0, 0]), int(other.picture[0, 0])))
+        pixels = 0.0 if b < 5 or a == b else last.get(a, last[3])
+        return None if pixels is None else Shift(pixels, 0.0)
+
+    monkeypatch.setattr("jaxcam.checks.recorded.stills.background", numbered)
+    monkeypatch.setattr("jaxcam.checks.recorded.stills.shift", apart)
+    one_view = replace(
+        data,
+        views=("front",),
+        episodes=[replace(e, sights={"front": e.sights["front"]}) for e in data.episodes],
+    )
+    assert [j.finding.mark for j in judge(one_view)] == [mark]
