@@ -175,6 +175,15 @@ class TrainConfig:
     """Be one of several processes of one run: on Slurm, Open MPI or Kubernetes they find each
     other; elsewhere JAX_COORDINATOR_ADDRESS, JAX_NUM_PROCESSES and JAX_PROCESS_ID are read."""
 
+    def given(self, names: str) -> list[str]:
+        """Which of some settings are not their defaults, as flags.
+
+        Args:
+            names: Of settings, with spaces between.
+        """
+        changed = (n for n in names.split() if getattr(self, n) != getattr(TrainConfig, n))
+        return ["--" + n.replace("_", "-") for n in changed]
+
     @classmethod
     def completed(cls, values: dict[str, Any]) -> dict[str, Any]:
         """Settings by name with those that older files lack, where that is not the default now."""

@@ -16,7 +16,7 @@ from jaxcam.data.recorded.pictures import load_recorded_pictures
 from jaxcam.data.recorded.recording import Recording
 from jaxcam.data.samples import Samples
 from jaxcam.data.splits import NO_VALIDATION
-from jaxcam.devices import has_accelerator, is_first, own
+from jaxcam.devices import has_accelerator, own
 from jaxcam.errors import ConfigError
 from jaxcam.evaluation.grip_ways import grip_ways
 from jaxcam.evaluation.recorded import action_errors
@@ -24,7 +24,7 @@ from jaxcam.files.jsonl import append_jsonl
 from jaxcam.files.paths import absolute
 from jaxcam.interop.calibrations import require_calibrated
 from jaxcam.interop.recordings import read_recording
-from jaxcam.models import Policy, PolicySpec, policy_settings
+from jaxcam.models import Policy, policy_settings
 from jaxcam.reports.camera_figures import ways_picture
 from jaxcam.reports.run_figures import write_action_figures
 from jaxcam.reports.run_page import write_report
@@ -94,6 +94,13 @@ class Recorded:
             resolution=self._resolution(config, preset.resolution),
             videos=0,
         )
+        instructions = sorted({e.instruction for e in self.recording.episodes})
+        if config.policy == "smolvla" and len(instructions) > 1:
+            raise ConfigError(
+                f"{self.recording.path} has {len(instructions)} instructions ({instructions[0]!r}, "
+                f"{instructions[1]!r} ...), and a run of SmolVLA reads one. Train on a part of it "
+                "with one, or another policy, which reads none."
+            )
         meaning = self.meaning(config)
         if config.policy != "smolvla" and None in (meaning.grip, meaning.gripper):
             config = replace(config, model=_without_keyframes(config.model))
@@ -101,6 +108,11 @@ class Recorded:
 
     def _check_given(self, config: TrainConfig) -> None:
         """Refuses settings that only a simulator has a use for."""
+        if simulated := config.given("scene rotations engine ensemble"):
+            raise ConfigError(
+                f"{simulated[0]} is for tasks that are simulated, and this dataset was recorded; "
+                "leave it out."
+            )
         asked = config.action_space
         if asked not in (None, "native"):
             raise ConfigError(
@@ -124,21 +136,9 @@ class Recorded:
         """What is known of the numbers, by their names and by what the settings say."""
         return meaning_of(self.recording, config.grip)
 
-    def check(self, config: TrainConfig) -> None:
-        """Nothing more than `complete` has checked."""
-
-    def spec(self, config: TrainConfig, chunk: int, obs_steps: int) -> PolicySpec:
-        """The sizes of a policy for this dataset."""
-        height, width = rows_and_columns(config.resolution)
-        return PolicySpec(
-            action_dim=len(self.recording.action_names),
-            proprio_dim=len(self.recording.state_names),
-            views=config.views,
-            height=height,
-            width=width,
-            chunk=chunk,
-            obs_steps=obs_steps,
-        )
+    def sizes(self, config: TrainConfig) -> tuple[int, int]:
+        """Numbers of an action, and of what the robot feels."""
+        return len(self.recording.action_names), len(self.recording.state_names)
 
     def parts(self, config: TrainConfig) -> Parts:
         """Its demonstrations, for training and for validation."""
@@ -164,23 +164,23 @@ class Recorded:
         run: RunDir | None,
         policy: Policy,
         state: TrainState,
+        dataset: Dataset,
         console: Console | None,
     ) -> None:
         """Measure the errors of the actions on what was held out, draw, and write the report."""
-        if run is None or not is_first():
+        if run is None:
             return
         parts = self.parts(config)
-        data = self.dataset([config], console)
         step, params = int(state.step), own(state.eval_params)
         names = self.recording.action_names
         rows = [row for row in read_errors(run.path) if row.step == step]
         if not rows:
-            rows = action_errors(policy, params, data, parts, names, step)
+            rows = action_errors(policy, params, dataset, parts, names, step)
             errors_file(run.path).parent.mkdir(exist_ok=True)
             append_jsonl(errors_file(run.path), *(row.to_json() for row in rows))
         write_action_figures(run.path / "plots", read_metrics(run.path), rows)
         if (grip := self.meaning(config).grip) is not None:
-            ways = grip_ways(policy, params, data, parts, grip, config.action_is)
+            ways = grip_ways(policy, params, dataset, parts, grip, config.action_is)
             if ways:
                 save(ways_picture(ways), run.path / "pictures" / "grip_ways.png")
         report = write_report(run.path)

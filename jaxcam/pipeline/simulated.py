@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from rich.console import Console
 
 from jaxcam.config.datasets import CollectConfig
-from jaxcam.config.sizes import rows_and_columns
 from jaxcam.config.train import TrainConfig
 from jaxcam.data.batches import Dataset, make_dataset
 from jaxcam.data.collection import collect
@@ -19,7 +18,7 @@ from jaxcam.errors import ConfigError
 from jaxcam.evaluation.checkpoint import Wanted, evaluate
 from jaxcam.evaluation.evaluator import Candidate, Evaluator
 from jaxcam.files.paths import absolute
-from jaxcam.models import Policy, PolicySpec, policy_settings
+from jaxcam.models import Policy, policy_settings
 from jaxcam.reports.camera_figures import ray_picture
 from jaxcam.reports.run_figures import write_plots
 from jaxcam.reports.run_page import write_report
@@ -54,13 +53,15 @@ class Simulated:
 
         Raises:
             DatasetError: The file cannot be read, or is of another task or scene.
-            ConfigError: It has other numbers of them than are asked.
+            ConfigError: It has other numbers of them than are asked, or a setting is not for a
+                task or for its engine.
         """
-        if recorded := [name for name in ("cameras", "grip") if getattr(config, name)]:
+        if recorded := config.given("cameras grip action_is hold_out_view hold_out_episodes"):
             raise ConfigError(
-                f"--{recorded[0]} is for recorded datasets: give a folder as --dataset, or leave "
+                f"{recorded[0]} is for recorded datasets: give a folder as --dataset, or leave "
                 "it out."
             )
+        engine_name(config.engine, make_task(config.task))
         if not config.dataset:
             return config
         header = read_demos(absolute(config.dataset), task=config.task, scene=config.scene).header
@@ -73,22 +74,9 @@ class Simulated:
                 )
         return replace(config, **counts)
 
-    def check(self, config: TrainConfig) -> None:
-        """Refuse an engine that cannot step the task's world."""
-        engine_name(config.engine, make_task(config.task))
-
-    def spec(self, config: TrainConfig, chunk: int, obs_steps: int) -> PolicySpec:
-        """The sizes of a policy for this task."""
-        height, width = rows_and_columns(config.resolution)
-        return PolicySpec(
-            action_dim=action_dim(config.action_space),
-            proprio_dim=PROPRIO_DIM,
-            views=config.views,
-            height=height,
-            width=width,
-            chunk=chunk,
-            obs_steps=obs_steps,
-        )
+    def sizes(self, config: TrainConfig) -> tuple[int, int]:
+        """Numbers of an action, and of what the robot feels."""
+        return action_dim(config.action_space), PROPRIO_DIM
 
     def dataset(self, configs: Sequence[TrainConfig], console: Console | None) -> Dataset:
         """What runs that differ in their seed are trained on; what is missing is made."""
@@ -115,9 +103,11 @@ class Simulated:
         run: RunDir | None,
         policy: Policy,
         state: TrainState,
+        dataset: Dataset,
         console: Console | None,
     ) -> None:
         """Evaluate the last checkpoint on held-out pairs, draw, and write the report."""
+        del dataset  # new pairs are simulated
         evaluator = Evaluator(config)
         step = int(state.step)
         candidate = Candidate(policy, own(state.eval_params), absolute(config.run_dir), step)

@@ -12,7 +12,7 @@ from jaxcam.config.train import TrainConfig
 from jaxcam.data.batches import Dataset
 from jaxcam.errors import ConfigError
 from jaxcam.files.paths import absolute
-from jaxcam.models import Policy, PolicySpec
+from jaxcam.models import Policy
 from jaxcam.pipeline.recorded import Recorded
 from jaxcam.pipeline.simulated import Simulated
 from jaxcam.runs.folder import RunDir
@@ -36,17 +36,11 @@ class Source(Protocol):
         """
         ...
 
-    def check(self, config: TrainConfig) -> None:
-        """Refuse resolved settings that could not be trained or evaluated to the end."""
-        ...
-
-    def spec(self, config: TrainConfig, chunk: int, obs_steps: int) -> PolicySpec:
-        """The sizes of a policy that learns from them.
+    def sizes(self, config: TrainConfig) -> tuple[int, int]:
+        """Numbers of an action, and of what the robot feels.
 
         Args:
             config: Resolved settings.
-            chunk: Actions that the policy predicts at a time.
-            obs_steps: Observations it sees at once.
         """
         ...
 
@@ -60,6 +54,7 @@ class Source(Protocol):
         run: RunDir | None,
         policy: Policy,
         state: TrainState,
+        dataset: Dataset,
         console: Console | None,
     ) -> None:
         """Evaluate what was trained, draw, and write the report.
@@ -69,6 +64,7 @@ class Source(Protocol):
             run: The run's folder; None in a process that writes nothing.
             policy: What was trained.
             state: Where training ended.
+            dataset: What it was trained on.
             console: For progress and results; silent when None.
         """
         ...

@@ -14,11 +14,12 @@ import numpy as np
 from rich.console import Console
 
 from jaxcam.config.fields import to_json
+from jaxcam.config.sizes import rows_and_columns
 from jaxcam.config.train import TrainConfig
 from jaxcam.devices import check_same, gathered, has_accelerator, is_first, joined
 from jaxcam.interop.lerobot.starting import read_start
 from jaxcam.interrupts import Stopped, interrupts
-from jaxcam.models import Policy, Stats, make_policy, policy_settings
+from jaxcam.models import Policy, PolicySpec, Stats, make_policy, policy_settings
 from jaxcam.models.policy import blank_stats
 from jaxcam.models.weights.load import Weights, load, record_weights
 from jaxcam.pipeline.sources import Source, source_of
@@ -43,7 +44,6 @@ def train(config: TrainConfig, console: Console | None = None) -> int:
     configs = each_seed(source.complete(config))
     first = configs[0]
     check_loggers(first.log)
-    source.check(first)
     weights = starting_weights(source, configs)  # what cannot work is told before anything is made
     check_same("settings", to_json(replace(first, run_dir="", data_dir="", dataset="")))
     with ExitStack() as stack:
@@ -77,7 +77,7 @@ def _train(
         _say_how_to_go_on(console, f"Stopped at update {steps} and saved.")
         return stop.exit_code or 143  # another process was asked
     for config, run, state in zip(configs, runs, states, strict=True):
-        source.conclude(config, run, policy, state, console)
+        source.conclude(config, run, policy, state, dataset, console)
     return 0
 
 
@@ -110,7 +110,17 @@ def policy_of(source: Source, config: TrainConfig, stats: Stats | None = None) -
         ConfigError: Its settings do not go together.
     """
     settings = policy_settings(config, source.prompt)
-    spec = source.spec(config, settings.chunk, settings.obs_steps)
+    action_dim, proprio_dim = source.sizes(config)
+    height, width = rows_and_columns(config.resolution)
+    spec = PolicySpec(
+        action_dim=action_dim,
+        proprio_dim=proprio_dim,
+        views=config.views,
+        height=height,
+        width=width,
+        chunk=settings.chunk,
+        obs_steps=settings.obs_steps,
+    )
     return make_policy(settings, spec, stats or blank_stats(spec))
 
 

@@ -66,6 +66,9 @@ def test_what_does_not_go_with_recorded_data_is_refused(folder):
     source = source_of(settings(folder))
     for changes, words in [
         ({"action_space": "eef_abs"}, "keeps its own actions"),
+        ({"scene": "fixed"}, "--scene is for tasks that are simulated"),
+        ({"ensemble": 0.01}, "--ensemble is for tasks that are simulated"),
+        ({"engine": "native"}, "--engine is for tasks that are simulated"),
         ({"n": 4}, "--n is for cameras that are simulated"),
         ({"hold_out_view": ("wirst",)}, "did you mean 'wrist'"),
         ({"views": 4}, "Give --views 3"),
@@ -78,8 +81,26 @@ def test_what_does_not_go_with_recorded_data_is_refused(folder):
         source_of(settings(folder, task="push"))
     with pytest.raises(ConfigError, match="needs the folder of a recorded dataset"):
         source_of(TrainConfig(task="recorded"))
-    with pytest.raises(ConfigError, match="--cameras is for recorded datasets"):
-        train(TrainConfig(cameras="cameras.json"))
+    for changes, flag in [
+        ({"cameras": "cameras.json"}, "--cameras"),
+        ({"grip": "state[0:3]"}, "--grip"),
+        ({"action_is": "eef_abs"}, "--action-is"),
+        ({"hold_out_view": ("front",)}, "--hold-out-view"),
+        ({"hold_out_episodes": (3,)}, "--hold-out-episodes"),
+    ]:
+        with pytest.raises(ConfigError, match=f"{flag} is for recorded datasets"):
+            train(TrainConfig(**changes))
+
+
+def test_several_instructions_are_no_one_prompt(folder):
+    recording = folder[1]["recording"]
+    other = dataclasses.replace(recording.episodes[1], instruction="Unstack them.")
+    recording.episodes[1] = other
+    config = settings(folder, policy="smolvla", preset="tiny", model=())
+    with pytest.raises(ConfigError, match="has 2 instructions"):
+        source_of(config).complete(config)
+    reads_none = settings(folder)
+    assert source_of(reads_none).complete(reads_none).demos == 3
 
 
 def test_cameras_that_nobody_calibrated(folder):
