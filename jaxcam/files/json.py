@@ -7,9 +7,6 @@ from typing import Any
 from jaxcam.errors import DatasetError
 from jaxcam.files.paths import read_text
 
-LARGEST = 1 << 29
-"""Bytes of a file that is read."""
-
 
 class _TwiceError(ValueError):
     """A name is in an object twice."""
@@ -26,11 +23,7 @@ def read_json(path: Path) -> Any:
             twice, of which JSON's readers would keep the last.
     """
     try:
-        if path.stat().st_size > LARGEST:
-            raise DatasetError(f"{path}: more than {LARGEST / 1e6:.0f} MB of JSON are not read.")
         return json.loads(read_text(path), object_pairs_hook=_once)
-    except DatasetError:
-        raise
     except FileNotFoundError as error:
         raise DatasetError(f"{path}: no such file.") from error
     except OSError as error:

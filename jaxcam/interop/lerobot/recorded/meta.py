@@ -11,7 +11,6 @@ Statistics are not read, so they may be missing.
 """
 
 import contextlib
-import json
 import math
 import re
 from collections.abc import Iterator, Mapping
@@ -21,8 +20,8 @@ from typing import Any
 
 from jaxcam.config.fields import as_record, short
 from jaxcam.errors import ConfigError, DatasetError
+from jaxcam.files.json import read_json
 from jaxcam.files.jsonl import read_jsonl
-from jaxcam.files.paths import read_text
 from jaxcam.interop.lerobot.format import CHUNK, VERSION
 from jaxcam.interop.lerobot.recorded.tables import read_table, texts, whole_numbers
 
@@ -127,10 +126,7 @@ def read_info(root: Path) -> Info:
         if (root / "meta_data/info.json").is_file():
             raise DatasetError(_of_version(root, "v1"))
         raise DatasetError(f"{root} is no LeRobot dataset: it has no {INFO}.")
-    try:
-        content = json.loads(read_text(path))
-    except (OSError, ValueError, RecursionError) as error:
-        raise DatasetError(f"{path} is not JSON that can be read: {error}.") from error
+    content = read_json(path)
     if not isinstance(content, dict):
         raise DatasetError(f"{path} is a JSON {type(content).__name__}, not an object.")
     version = content.get("codebase_version")
