@@ -18,8 +18,10 @@ from jaxcam.data.collection import dataset_path
 from jaxcam.data.demos import read_demos
 from jaxcam.errors import JaxcamError
 from jaxcam.files.paths import absolute, home, read_text
+from jaxcam.interop.recordings import read_recording
+from jaxcam.runs.action_errors import read_errors
 from jaxcam.runs.environment import environment
-from jaxcam.runs.identity import stored_config, unlike
+from jaxcam.runs.identity import RECORDED, stored_config, unlike
 from jaxcam.runs.manifests import DamagedError, record_of_weights
 from jaxcam.runs.metrics import read_metrics
 from jaxcam.training.checkpoint import checkpoint_steps
@@ -60,7 +62,8 @@ def check_run(folder: Path, console: Console | None = None) -> Iterator[Finding]
             ),
         )
         return
-    what = f"{config.policy} on {config.task}, {config.scene}; {config.conditioning}"
+    task = config.task if config.task == RECORDED else f"{config.task}, {config.scene}"
+    what = f"{config.policy} on {task}; {config.conditioning}"
     yield good("configuration", got=f"{what}, seed {config.seed}")
     checkpoints = Verified({}, {})
     try:
@@ -74,7 +77,11 @@ def check_run(folder: Path, console: Console | None = None) -> Iterator[Finding]
         "weights": lambda: _weights(folder),
         "dataset": lambda: [_dataset(folder, config, checkpoints)],
         "metrics": lambda: [_metrics(folder)],
-        "evaluation": lambda: check_evaluations(folder, config.pairs),
+        "evaluation": lambda: (
+            [_errors(folder)]
+            if config.task == RECORDED
+            else check_evaluations(folder, config.pairs)
+        ),
         "environment": lambda: [_environment(folder)],
         "what it can do": lambda: [_what_next(config, sorted(checkpoints.sides))],
     }
@@ -165,30 +172,50 @@ def _dataset(folder: Path, config: TrainConfig, checkpoints: Verified) -> Findin
     """Whether the demonstrations are where the run found them, and still the same."""
     what = "dataset"
     path = home(config.dataset) if config.dataset else dataset_path(CollectConfig.of(config))
-    if not path.exists():
-        # Relative to where the run was started, if its folder still is where it was made.
-        made, folder = Path(config.run_dir).parts, absolute(folder)
-        if folder.parts[-len(made) :] == made:
-            path = folder.parents[len(made) - 1] / path
+    path = _from_start(path, folder, config)
     if not path.exists():
         fix = "Resuming needs it: run from the folder the run was started in, or pass --data-dir."
         if not config.dataset:
             fix += " Training collects it anew if it is gone; it is then the same."
         return note(what, got="not found", where=str(path), fix=fix)
     try:
-        demos = read_demos(path, task=config.task, scene=config.scene)
+        fingerprint = _fingerprint(path, folder, config)
     except JaxcamError as error:
         return bad(what, got=str(error), where=str(path))
     trained = {str(side["data"]).split("-")[0] for side in checkpoints.sides.values()}
-    if not trained or trained == {demos.fingerprint}:
-        return good(what, got=f"content {demos.fingerprint}", where=str(path))
+    if not trained or trained == {fingerprint}:
+        return good(what, got=f"content {fingerprint}", where=str(path))
     return bad(
         what,
-        got=f"content {demos.fingerprint}",
+        got=f"content {fingerprint}",
         expected=some(sorted(trained)),
         where=str(path),
         fix="It is not what the run was trained on: restore it, or train anew.",
     )
+
+
+def _from_start(path: Path, folder: Path, config: TrainConfig) -> Path:
+    """A path that a run was given, relative to where it was started if its folder still tells."""
+    made, folder = Path(config.run_dir).parts, absolute(folder)
+    if not path.exists() and folder.parts[-len(made) :] == made:
+        return folder.parents[len(made) - 1] / path
+    return path
+
+
+def _fingerprint(path: Path, folder: Path, config: TrainConfig) -> str:
+    """Of the content of a dataset of either kind."""
+    if config.task == RECORDED:
+        cameras = _from_start(home(config.cameras), folder, config) if config.cameras else None
+        return read_recording(path, cameras).fingerprint
+    return read_demos(path, task=config.task, scene=config.scene).fingerprint
+
+
+def _errors(folder: Path) -> Finding:
+    """The errors of actions that a run on a recorded dataset has."""
+    steps = sorted({row.step for row in read_errors(folder)})
+    if not steps:
+        return note("evaluation", got="none yet", fix="Training measures errors at its end.")
+    return good("evaluation", got=f"errors of actions at step {some(steps)}")
 
 
 def _metrics(folder: Path) -> Finding:
@@ -250,6 +277,8 @@ def _what_next(config: TrainConfig, steps: list[int]) -> Finding:
         return note(what, got="be trained from the start; nothing to evaluate")
     last = steps[-1]
     evaluate = f"be evaluated at {len(steps)} steps"
+    if config.task == RECORDED:
+        evaluate = "be judged by its report"
     if last >= config.steps:
         return good(what, got=f"is trained to its end, {last:,} updates; can {evaluate}")
     return good(what, got=f"resume at {last:,} of {config.steps:,} updates; {evaluate}")

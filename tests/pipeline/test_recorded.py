@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import robots
 
+from jaxcam.checks.run import check_run
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.pipeline.sources import source_of
@@ -39,7 +40,7 @@ def settings(folder, **changes):
     return TrainConfig(**{**SMALL, **own, **changes})
 
 
-def test_a_run_is_trained_resumed_and_reported(folder):
+def test_a_run_is_trained_resumed_and_reported(folder, monkeypatch):
     config = settings(folder, hold_out_view=("wrist",), save_every=2, eval_every=2)
     assert train(config) == 0
     run = folder[0].parent / "run"
@@ -58,6 +59,10 @@ def test_a_run_is_trained_resumed_and_reported(folder):
     assert "new cameras" in page
     losses = [row.get("val_loss") for row in read_metrics(run)]
     assert all(np.isfinite(x) for x in losses if x is not None)
+    monkeypatch.setattr("jaxcam.checks.run.read_recording", lambda *_: folder[1]["recording"])
+    judged = {finding.what: (finding.mark, finding.got) for finding in check_run(run)}
+    assert {mark for mark, _ in judged.values()} == {"good"}
+    assert judged["evaluation"][1] == "errors of actions at step 4"
     assert train(config) == 0  # nothing is left to be done
     assert len(read_errors(run)) == len(rows)
 
