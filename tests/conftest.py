@@ -6,6 +6,7 @@ Fixtures import what they need: most tests need neither JAX nor a simulator.
 import gc
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -82,6 +83,15 @@ def demos(data_dir):
     from jaxcam.data.collection import collect
 
     return collect(CollectConfig(**TINY, data_dir=str(data_dir)))
+
+
+@pytest.fixture(scope="session")
+def spoilt(demos, scene):
+    """Demonstrations of which the second was given with the cube somewhere else."""
+    episodes = demos.episodes
+    states = episodes[1].states.copy()
+    states[:, 1 + scene.qpos_of("cube")] += 0.1
+    return [episodes[0], replace(episodes[1], states=states), *episodes[2:]]
 
 
 @pytest.fixture(scope="session")

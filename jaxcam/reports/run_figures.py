@@ -22,7 +22,7 @@ from jaxcam.reports.style import (
     small_print,
     styled,
 )
-from jaxcam.results.actions import ActionErrors
+from jaxcam.results.actions import OF_MEAN, ActionErrors
 from jaxcam.results.rows import Row
 
 
@@ -161,7 +161,7 @@ def errors_by_horizon(rows: Sequence[ActionErrors]) -> Figure:
             steps + 1, by_step, label=_label(row),
             color=colours.get(row.group, BLUE), linestyle="--" if wrong else "-",
         )  # fmt: skip
-    axes.axhline(1, color="0.6", linewidth=0.8)
+    axes.axhline(OF_MEAN, color="0.6", linewidth=0.8)
     axes.set_xlabel("step of the chunk")
     axes.set_ylabel("error (deviations)")
     axes.set_ylim(bottom=0)
@@ -187,7 +187,7 @@ def errors_by_number(rows: Sequence[ActionErrors]) -> Figure:
                   color=colours.get(row.group, BLUE))  # fmt: skip
     axes.set_yticks(range(len(names)), names, parse_math=False)  # a dollar is a dollar
     axes.invert_yaxis()
-    axes.axvline(1, color="0.6", linewidth=0.8)
+    axes.axvline(OF_MEAN, color="0.6", linewidth=0.8)
     axes.set_xlabel("error (deviations)")
     axes.legend(fontsize=7)
     return figure

@@ -31,8 +31,8 @@ _PLOTS = {
     "validation demonstrations.",
     "success": "Success over training; the band is the 95 % interval over pairs.",
     "cameras": "Camera poses of the demonstrations and of the evaluation.",
-    "errors_by_horizon": "Errors of actions on what training did not see, by step of a chunk. At 1 "
-    "they are as large as the actions' own deviation: that of always giving the mean action or so.",
+    "errors_by_horizon": "Errors of actions on what training did not see, by step of a chunk. The "
+    "grey line is that of always giving the mean action, where actions are spread normally.",
     "errors_by_number": "The same by what is commanded, each in its own deviation.",
     "grip_ways": "Where the grip went in the steps of a chunk, and where the policy would have "
     "sent it, if --action-is says what actions mean.",

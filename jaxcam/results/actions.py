@@ -6,12 +6,13 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from scipy.stats import bootstrap
+from scipy.stats import t as student
 
 from jaxcam.errors import DatasetError
 
-RESAMPLES = 2000
-"""Of the episodes, for an interval."""
+OF_MEAN = 0.8
+"""Error, in deviations, of an action that is always the mean, where actions are spread normally:
+the square root of 2/π."""
 LEAST_SCALE = 1e-4
 """Deviation below which a number of an action stands still."""
 
@@ -47,17 +48,17 @@ class ActionErrors:
     def mean(self) -> tuple[float, float, float]:
         """The mean error in deviations, and its 95 % interval over episodes.
 
-        The interval is a percentile bootstrap of episodes; (value, NaN, NaN) of a single one.
+        The interval is Student's, since episodes are few: a bootstrap of five covers the true mean
+        in 83 % of cases. (value, NaN, NaN) of a single one.
         """
         by_episode = np.nanmean(self.relative, (1, 2))
         value = float(by_episode.mean())
         if len(by_episode) < 2:
             return value, float("nan"), float("nan")
-        interval = bootstrap(
-            (by_episode,), np.mean, n_resamples=RESAMPLES, method="percentile",
-            rng=np.random.default_rng(0),
-        ).confidence_interval  # fmt: skip
-        return value, float(interval.low), float(interval.high)
+        count = len(by_episode)
+        error = by_episode.std(ddof=1) / np.sqrt(count)
+        half = float(student.ppf(0.975, count - 1) * error)
+        return value, max(0.0, value - half), value + half
 
     def to_json(self) -> dict[str, Any]:
         """As JSON has it, NaN as null."""

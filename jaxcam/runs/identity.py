@@ -31,8 +31,7 @@ Settings = dict[str, Any]
 # Settings that leave every update of a run as it was; all others are part of a run's identity.
 FREE_TO_CHANGE = frozenset({
     "pairs", "engine", "ensemble", "data_dir", "dataset", "cameras", "action_is", "run_dir",
-    "log_every",
-    "eval_every", "save_every", "keep", "videos", "seeds", "log", "distributed",
+    "log_every", "eval_every", "save_every", "keep", "videos", "seeds", "log", "distributed",
 })  # fmt: skip
 # Of the settings that leave training as it was, these say what was trained on and how the
 # policy was run; seeds and how updates are computed differ between runs compared as one.

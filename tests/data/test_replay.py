@@ -3,22 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from jaxcam.data import replay as replay_module
 from jaxcam.data.batches import demo_actions
 from jaxcam.data.replay import replay, replay_all
 from jaxcam.sim.actions import ACTION_SPACES, controller_of
 from jaxcam.sim.mujoco.native import NativeEngine
-
-
-@pytest.fixture(scope="module")
-def spoilt(demos, scene):
-    """Demonstrations of which the second was given with the cube somewhere else."""
-    episodes = demos.episodes
-    states = episodes[1].states.copy()
-    states[:, 1 + scene.qpos_of("cube")] += 0.1
-    return [episodes[0], replace(episodes[1], states=states), *episodes[2:]]
 
 
 def test_only_what_still_works_counts(lift, scene, spoilt):

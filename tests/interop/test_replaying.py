@@ -1,21 +1,9 @@
 """The command that replays, and its exit code."""
 
-from dataclasses import replace
-
-import pytest
 from running import exit_code
 
 from jaxcam.data.demos import read_demos
 from jaxcam.data.writer import DemoWriter
-
-
-@pytest.fixture(scope="module")
-def spoilt(demos, scene):
-    """Demonstrations of which the second was given with the cube somewhere else."""
-    episodes = demos.episodes
-    states = episodes[1].states.copy()
-    states[:, 1 + scene.qpos_of("cube")] += 0.1
-    return [episodes[0], replace(episodes[1], states=states), *episodes[2:]]
 
 
 def test_the_command_tells_and_fails_below_the_gate(tmp_path, demos, spoilt, capsys):

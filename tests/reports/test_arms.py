@@ -10,15 +10,6 @@ from jaxcam.errors import ConfigError
 from jaxcam.reports.arms import read_runs
 
 
-@pytest.fixture
-def runs(tmp_path):
-    """Image-only and late fusion on Lift, a seed each; a folder of runs."""
-    folder = tmp_path / "runs"
-    for way, rate in (("none", 0.25), ("late", 0.75)):
-        make_run(folder / way, rate=rate, conditioning=way)
-    return folder
-
-
 def test_a_whole_protocol_counts_and_anything_less_is_told(tmp_path):
     for seed in range(3):
         make_run(tmp_path / f"w{seed}", seed=seed, checkpoints=10, pairs=50, save_every=100)

@@ -18,15 +18,6 @@ from jaxcam.reports.comparison import write_comparison
 from jaxcam.reports.tables import gains_table
 
 
-@pytest.fixture
-def runs(tmp_path):
-    """Image-only and late fusion on Lift, a seed each; a folder of runs."""
-    folder = tmp_path / "runs"
-    for way, rate in (("none", 0.25), ("late", 0.75)):
-        make_run(folder / way, rate=rate, conditioning=way)
-    return folder
-
-
 def test_a_report_is_whole(runs, tmp_path):
     (runs / "late" / "videos").mkdir()
     (runs / "late" / "videos" / "failures-test-004000.mp4").write_bytes(b"film")

@@ -2,21 +2,11 @@
 
 import re
 
-import pytest
 from made_runs import arms_of, make_run
 
 from jaxcam.reports import paper
 from jaxcam.reports.tables import gains_table, paper_value, table_one
 from jaxcam.results.differences import paired_difference
-
-
-@pytest.fixture
-def runs(tmp_path):
-    """Image-only and late fusion on Lift, a seed each; a folder of runs."""
-    folder = tmp_path / "runs"
-    for way, rate in (("none", 0.25), ("late", 0.75)):
-        make_run(folder / way, rate=rate, conditioning=way)
-    return folder
 
 
 def test_table_one_has_the_papers_numbers_beside_ours(runs):

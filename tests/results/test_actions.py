@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxcam.errors import DatasetError
-from jaxcam.results.actions import ActionErrors
+from jaxcam.results.actions import OF_MEAN, ActionErrors
 
 ERRORS = np.array([[[1.0, 4], [3, np.nan]], [[2, 8], [4, 2]]])
 ROW = ActionErrors(5, "new cameras", 0.0, 0.0, ("x", "gripper"), np.array([1.0, 2]), ERRORS)
@@ -15,8 +15,20 @@ ROW = ActionErrors(5, "new cameras", 0.0, 0.0, ("x", "gripper"), np.array([1.0, 
 def test_mean_over_episodes():
     value, low, high = ROW.mean()
     assert value == pytest.approx(((1 + 2 + 3) / 3 + (2 + 4 + 4 + 1) / 4) / 2)
-    assert low == pytest.approx(2)
-    assert high == pytest.approx(2.75)
+    half = 12.7062 * 0.375  # of two episodes, at 2 and 2.75
+    assert (low, high) == (0, pytest.approx(2.375 + half, rel=1e-4))
+
+
+@pytest.mark.parametrize("episodes", [3, 5, 10, 30])
+def test_the_interval_covers_the_mean_of_new_episodes(episodes):
+    rng = np.random.default_rng(episodes)
+    covered = 0
+    for _ in range(1000):
+        errors = rng.gamma(9, 0.1, (episodes, 1, 1))
+        row = ActionErrors(0, "a", 0.0, 0.0, ("x",), np.ones(1), errors)
+        _, low, high = row.mean()
+        covered += low <= 0.9 <= high
+    assert covered >= 930
 
 
 def test_one_episode_has_no_interval():
@@ -47,3 +59,10 @@ def test_what_is_no_row(change):
         ActionErrors.from_json({**ROW.to_json(), **change})
     with pytest.raises(DatasetError, match="no row of action errors"):
         ActionErrors.from_json({})
+
+
+def test_always_the_mean_has_the_error_that_is_said():
+    actions = np.random.default_rng(0).normal(3, 2, 200_000)
+    assert np.abs(actions - actions.mean()).mean() / actions.std() == pytest.approx(
+        OF_MEAN, abs=0.01
+    )

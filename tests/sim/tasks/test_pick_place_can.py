@@ -4,23 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from placements import assert_fills, place_of
 
 from jaxcam.sim.mujoco.native import NativeEngine
 from jaxcam.sim.mujoco.table import TABLE_TOP
 from jaxcam.sim.task import starts
 from jaxcam.sim.tasks.pick_place_can import PickPlaceCan
 from jaxcam.sim.types import Command, Start, State
-
-
-def place(scene, start, name):
-    at = scene.qpos_of(name)
-    return start.qpos[..., at : at + 3]
-
-
-def fills(values, half):
-    assert abs(values).max() <= half
-    assert values.min() < -0.95 * half
-    assert values.max() > 0.95 * half
 
 
 def still(engine, state, steps=40):
@@ -35,8 +25,8 @@ def test_can_and_target_fill_their_ranges_and_stay_apart():
     task = PickPlaceCan()
     scene = task.scene("randomized")
     start = starts(task, scene, range(400))
-    both = np.stack([place(scene, start, "can"), start.fixtures[:, 2, :3]])
-    fills(both[..., :2], 0.2)
+    both = np.stack([place_of(scene, start, "can"), start.fixtures[:, 2, :3]])
+    assert_fills(both[..., :2], 0.2)
     apart = np.linalg.norm((both[0] - both[1])[:, :2], axis=-1)
     assert 0.15 <= apart.min() < 0.17
     np.testing.assert_allclose(both[0, :, 2], TABLE_TOP + 0.05)
@@ -48,7 +38,7 @@ def test_the_can_stands_as_high_as_robosuite_says():
     scene = task.scene("fixed")
     engine = NativeEngine(scene)
     state = still(engine, engine.reset(starts(task, scene, range(2))))
-    np.testing.assert_allclose(place(scene, state, "can")[:, 2], TABLE_TOP + 0.04, atol=1e-3)
+    np.testing.assert_allclose(place_of(scene, state, "can")[:, 2], TABLE_TOP + 0.04, atol=1e-3)
 
 
 def can_state(aside, height, count=1):

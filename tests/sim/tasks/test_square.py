@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from placements import assert_fills, place_of
 
 from jaxcam.sim.mujoco.native import NativeEngine
 from jaxcam.sim.mujoco.table import TABLE_TOP
@@ -13,23 +14,12 @@ from jaxcam.sim.tasks.square import Square
 from jaxcam.sim.types import Start, State
 
 
-def place(scene, start, name):
-    at = scene.qpos_of(name)
-    return start.qpos[..., at : at + 3]
-
-
-def fills(values, half):
-    assert abs(values).max() <= half
-    assert values.min() < -0.95 * half
-    assert values.max() > 0.95 * half
-
-
 def test_nut_and_peg_fill_their_ranges_and_stay_apart():
     task = Square()
     scene = task.scene("randomized")
     start = starts(task, scene, range(400))
-    nut, peg = place(scene, start, "nut"), place(scene, start, "peg")
-    fills(np.stack([nut, peg])[..., :2], 0.18)
+    nut, peg = place_of(scene, start, "nut"), place_of(scene, start, "peg")
+    assert_fills(np.stack([nut, peg])[..., :2], 0.18)
     apart = np.linalg.norm((nut - peg)[:, :2], axis=-1)
     assert square.APART <= apart.min() < square.APART + 0.02
     np.testing.assert_allclose(nut[:, 2], TABLE_TOP + 0.02)
@@ -45,7 +35,7 @@ def square_state(nut, grip):
     start = starts(task, scene, [0])
     state = NativeEngine(scene).reset(start)
     at = scene.qpos_of("nut")
-    state.qpos[:, at : at + 2] = place(scene, state, "peg")[:, :2] + nut[:2]
+    state.qpos[:, at : at + 2] = place_of(scene, state, "peg")[:, :2] + nut[:2]
     state.qpos[:, at + 2] = TABLE_TOP + nut[2]
     state.qpos[:, at + 3 : at + 7] = [np.sqrt(0.5), 0, 0, np.sqrt(0.5)]
     state.grip_position[:] = state.qpos[:, at : at + 3] + grip
