@@ -48,6 +48,44 @@ def test_the_whole_package_needs_no_extra_and_no_network():
     assert errors == ""  # neither robosuite nor Warp greets the user
 
 
+WITHOUT = """
+import sys
+from importlib import import_module
+extras = "pyarrow safetensors tokenizers submitit tensorboardX wandb"
+sys.modules |= dict.fromkeys(extras.split())  # None: as if they were not installed
+from jaxcam.__main__ import NAMES
+from jaxcam.errors import ConfigError
+for name in NAMES:
+    module = import_module(f"jaxcam.{name}").COMMAND.main.partition(":")[0]
+    try:
+        import_module(module)
+    except ConfigError as error:
+        sys.stderr.write(f"{name}: {error}")
+"""
+
+
+def test_without_extras_each_command_runs_but_the_one_that_is_for_an_extra():
+    _, errors = loaded(WITHOUT)
+    assert errors == "lerobot: This needs pyarrow: pip install 'jaxcam[lerobot]'."
+
+
+def test_a_lerobot_dataset_without_its_extra_is_told_how_to_get_it(tmp_path):
+    (tmp_path / "meta").mkdir()
+    (tmp_path / "meta" / "info.json").write_text("{}")
+    code = """
+import sys
+sys.modules["pyarrow"] = None
+from pathlib import Path
+from jaxcam.interop.recordings import read_recording
+try:
+    read_recording(Path(sys.argv[1]))
+except Exception as error:
+    sys.stderr.write(f"{type(error).__name__}: {error}")
+"""
+    _, errors = loaded(code, tmp_path)
+    assert errors == "ConfigError: This needs pyarrow: pip install 'jaxcam[lerobot]'."
+
+
 @pytest.mark.parametrize("module", ["jaxcam", "jaxcam.errors"])
 def test_light_modules_load_the_standard_library_only(module):
     modules, _ = loaded(f"import {module}")

@@ -9,7 +9,6 @@ from jaxcam.errors import DatasetError
 from jaxcam.interop.calibrations import calibrated
 from jaxcam.interop.droid.reading import read_droid
 from jaxcam.interop.formats import recognise
-from jaxcam.interop.lerobot.reading import read_lerobot
 
 
 def is_recording(path: Path) -> bool:
@@ -29,11 +28,14 @@ def read_recording(
 
     Raises:
         DatasetError: It is in no layout that is known, or damaged.
-        ConfigError: A file of calibrations has a name or a value that is none.
+        ConfigError: A file of calibrations has a name or a value that is none, or the extra that
+            reads the layout is not installed.
         CameraError: A calibration is impossible.
     """
     match recognise(path):
         case "lerobot":
+            from jaxcam.interop.lerobot.reading import read_lerobot  # needs the extra `lerobot`
+
             recording = read_lerobot(path, console=console)
         case "droid":
             recording = read_droid(path, console=console)
