@@ -51,6 +51,12 @@ class MachineError(JaxcamError):
     exit_code = 7
 
 
+class PortError(JaxcamError, RuntimeError):
+    """A policy server, or one who asks it, is gone, or says what the other cannot use."""
+
+    exit_code = 8
+
+
 class DivergedError(JaxcamError):
     """Training produced non-finite numbers for too long."""
 
