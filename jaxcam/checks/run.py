@@ -16,6 +16,7 @@ from jaxcam.console.progress import progress
 from jaxcam.console.words import some
 from jaxcam.data.collection import dataset_path
 from jaxcam.data.demos import read_demos
+from jaxcam.data.recorded.spaces import as_learned
 from jaxcam.errors import JaxcamError
 from jaxcam.files.paths import absolute, home, read_text
 from jaxcam.interop.recordings import read_recording
@@ -206,7 +207,7 @@ def _fingerprint(path: Path, folder: Path, config: TrainConfig) -> str:
     """Of the content of a dataset of either kind."""
     if config.task == RECORDED:
         cameras = _from_start(home(config.cameras), folder, config) if config.cameras else None
-        return read_recording(path, cameras).fingerprint
+        return as_learned(read_recording(path, cameras), config).fingerprint
     return read_demos(path, task=config.task, scene=config.scene).fingerprint
 
 

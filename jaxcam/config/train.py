@@ -62,7 +62,8 @@ class TrainConfig:
     action_space: Annotated[
         FromPreset[ActionChoice], default("eef_delta, or a recorded dataset's own")
     ] = PRESET
-    """What the policy's actions mean; native is whatever a recorded dataset's do."""
+    """What the policy's actions mean; native is whatever a recorded dataset's do. Grip poses become
+    what they move by and back, and so do joint angles."""
     rotations: Rotations = "nominal"
     """What the rotation vectors of eef_abs are counted from: a grip that points down, where they
     are small, or the world's axes, as until version 0.1.0, where they jump."""
@@ -151,8 +152,8 @@ class TrainConfig:
     grip: Annotated[str, default("by its names")] = ""
     """Where a recorded dataset's state has the grip's position, such as observation.state[0:3]."""
     action_is: ActionMeaning = "unknown"
-    """What a recorded dataset's actions are. With eef_abs and eef_delta, whose first three numbers
-    are metres in the base's frame, the report draws where predicted actions lead."""
+    """What a recorded dataset's actions are, if it does not say so: grip poses (m, and rotation
+    vectors or Euler angles) or joint angles (rad), where to be or how far to go."""
     hold_out_view: Annotated[tuple[str, ...], default("none")] = ()
     """Views of a recorded dataset that training does not see, to be judged on."""
     hold_out_episodes: Annotated[tuple[int, ...], default("--validation of them")] = ()

@@ -8,6 +8,7 @@ import numpy as np
 from jaxcam.config.names import ActionMeaning
 from jaxcam.data.batches import Dataset
 from jaxcam.data.recorded.parts import Parts
+from jaxcam.data.recorded.spaces import AGREE_M
 from jaxcam.models import Policy
 from jaxcam.rays import Camera
 from jaxcam.reports.camera_figures import GripWay
@@ -35,6 +36,8 @@ def grip_ways(
         meaning: What actions are. The first three numbers of `eef_abs` are the grip's next
             position and of `eef_delta` by how much it moves, in metres in the base frame.
     """
+    if meaning == "eef_abs" and _far(dataset, grip):
+        meaning = "unknown"
     spec, held_out = policy.spec, np.arange(parts.train, len(parts.all))
     if not len(held_out):
         return []
@@ -61,6 +64,13 @@ def grip_ways(
         predicted = None if leads is None else _pixels(camera, np.stack([recorded[0], *leads]))
         ways.append(GripWay(picture, _pixels(camera, recorded), predicted, parts.all[demo].group))
     return ways
+
+
+def _far(dataset: Dataset, grip: tuple[int, int, int]) -> bool:
+    """Whether commanded positions are in another frame than the state's."""
+    steps = np.arange(dataset.actions.shape[1]) < dataset.lengths[:, None]
+    apart = dataset.actions[..., :3] - dataset.proprio[..., list(grip)]
+    return float(np.median(np.linalg.norm(apart, axis=-1)[steps])) > AGREE_M
 
 
 def _targets(moves: np.ndarray, start: np.ndarray, meaning: ActionMeaning) -> np.ndarray | None:

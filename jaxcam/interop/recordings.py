@@ -1,12 +1,14 @@
 """Recorded datasets in whatever layout they come: LeRobot's or DROID's, with their calibrations."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
 
 from jaxcam.data.recorded.recording import Recording
 from jaxcam.errors import DatasetError
-from jaxcam.interop.calibrations import calibrated
+from jaxcam.interop.calibrations import NOTES, calibrated
+from jaxcam.interop.cameras.files import noted_actions
 from jaxcam.interop.droid.reading import read_droid
 from jaxcam.interop.formats import recognise
 
@@ -37,6 +39,7 @@ def read_recording(
             from jaxcam.interop.lerobot.reading import read_lerobot  # needs the extra `lerobot`
 
             recording = read_lerobot(path, console=console)
+            recording = replace(recording, action_is=noted_actions(path / NOTES))
         case "droid":
             recording = read_droid(path, console=console)
         case _:

@@ -7,6 +7,7 @@ import numpy as np
 from rich.console import Console
 
 from jaxcam.config.fields import overrides
+from jaxcam.config.names import ActionMeaning
 from jaxcam.config.sizes import rows_and_columns, size_name
 from jaxcam.config.train import TrainConfig
 from jaxcam.data.batches import Dataset
@@ -14,6 +15,7 @@ from jaxcam.data.recorded.fitting import keeping_shape
 from jaxcam.data.recorded.parts import HeldOut, Meaning, Parts, make_recorded, meaning_of, parts_of
 from jaxcam.data.recorded.pictures import load_recorded_pictures
 from jaxcam.data.recorded.recording import Recording
+from jaxcam.data.recorded.spaces import as_learned
 from jaxcam.data.samples import Samples
 from jaxcam.data.splits import NO_VALIDATION
 from jaxcam.devices import has_accelerator, own
@@ -42,10 +44,13 @@ class Recorded:
     """The demonstrations of a recorded dataset.
 
     Attributes:
-        recording: The dataset, with where its cameras stood.
+        recording: The dataset, with where its cameras stood, and its actions in the space that is
+            learned.
+        action_is: What its own actions are.
     """
 
     recording: Recording = field(repr=False)
+    action_is: ActionMeaning = "unknown"
 
     @classmethod
     def open(cls, config: TrainConfig, console: Console | None = None) -> "Recorded":
@@ -58,9 +63,12 @@ class Recorded:
         Raises:
             DatasetError: It is in no format that is known, or damaged.
             CameraError: A calibration is impossible.
+            ConfigError: Its actions cannot become those that are asked for.
         """
         cameras = absolute(config.cameras) if config.cameras else None
-        return cls(read_recording(absolute(config.dataset), cameras, console))
+        recording = read_recording(absolute(config.dataset), cameras, console)
+        own = recording.action_is if config.action_is == "unknown" else config.action_is
+        return cls(as_learned(recording, config), own)
 
     @property
     def prompt(self) -> str:
@@ -85,7 +93,8 @@ class Recorded:
             config,
             task=RECORDED,
             preset=name,
-            action_space="native",
+            action_space=given["action_space"] or "native",
+            action_is=self.action_is,
             views=views,
             n=max(len(p.views) for p in parts.all),
             m=0,
@@ -112,11 +121,6 @@ class Recorded:
             raise ConfigError(
                 f"{simulated[0]} is for tasks that are simulated, and this dataset was recorded; "
                 "leave it out."
-            )
-        asked = config.action_space
-        if asked not in (None, "native"):
-            raise ConfigError(
-                f"--action-space {asked}: a recorded dataset keeps its own actions; leave it out."
             )
         for name in ("n", "m"):
             if getattr(config, name) is not None and config.task != RECORDED:
@@ -180,7 +184,7 @@ class Recorded:
             append_jsonl(errors_file(run.path), *(row.to_json() for row in rows))
         write_action_figures(run.path / "plots", read_metrics(run.path), rows)
         if (grip := self.meaning(config).grip) is not None:
-            ways = grip_ways(policy, params, dataset, parts, grip, config.action_is)
+            ways = grip_ways(policy, params, dataset, parts, grip, self.recording.action_is)
             if ways:
                 save(ways_picture(ways), run.path / "pictures" / "grip_ways.png")
         report = write_report(run.path)

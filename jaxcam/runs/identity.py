@@ -272,5 +272,7 @@ def differences(old: TrainConfig, new: TrainConfig) -> list[Difference]:
     free = FREE_TO_CHANGE
     if old.schedule == new.schedule == "constant":
         free |= {"steps"}  # A constant rate does not know how long the run is.
+    if new.task == RECORDED and new.action_space != "native":
+        free -= {"action_is"}  # it says what they became that space from
     pairs = ((f.name, getattr(old, f.name), getattr(new, f.name)) for f in fields(old))
     return [Difference(name, a, b, name not in free) for name, a, b in pairs if a != b]

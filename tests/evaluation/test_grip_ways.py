@@ -18,8 +18,11 @@ SIZE = (24, 32)
 GRIP = (0, 1, 2)
 
 
-def ways(folder, meaning, act, held_out=HeldOut(episodes=(1,))):  # noqa: B008
+def ways(folder, meaning, act, held_out=HeldOut(episodes=(1,)), offset=0.0):  # noqa: B008
+    """Ways of a robot that is told to stay, its base off from the commands' by `offset` (m)."""
     recording = robots.recording(folder)
+    for episode in recording.episodes:
+        episode.action[:, :3] = episode.state[:, :3] + offset
     parts = parts_of(recording, held_out, 1)
     pictures = load_recorded_pictures(recording, parts, SIZE, folder)
     data = make_recorded(recording, parts, pictures, Meaning())
@@ -58,6 +61,11 @@ def test_actions_lead_from_where_the_grip_is(tmp_path, meaning):
         np.testing.assert_allclose(way.predicted, np.tile(way.recorded[:1], (4, 1)), atol=1e-3)
     file = save(ways_picture(shown), tmp_path / "ways.png")
     assert file.stat().st_size > 5000
+
+
+def test_targets_in_another_frame_than_the_state_are_not_drawn(tmp_path):
+    _, shown = ways(tmp_path, "eef_abs", still, offset=0.2)
+    assert all(way.predicted is None for way in shown)
 
 
 def test_without_held_out_episodes_there_is_nothing(tmp_path):

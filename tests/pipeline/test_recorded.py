@@ -12,7 +12,7 @@ from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.pipeline.sources import source_of
 from jaxcam.pipeline.train import train
 from jaxcam.runs.action_errors import read_errors
-from jaxcam.runs.identity import read_config, resolve
+from jaxcam.runs.identity import default_folder, differences, read_config, resolve
 from jaxcam.runs.metrics import read_metrics
 
 SMALL = {
@@ -70,7 +70,6 @@ def test_a_run_is_trained_resumed_and_reported(folder, monkeypatch):
 def test_what_does_not_go_with_recorded_data_is_refused(folder):
     source = source_of(settings(folder))
     for changes, words in [
-        ({"action_space": "eef_abs"}, "keeps its own actions"),
         ({"scene": "fixed"}, "--scene is for tasks that are simulated"),
         ({"ensemble": 0.01}, "--ensemble is for tasks that are simulated"),
         ({"engine": "native"}, "--engine is for tasks that are simulated"),
@@ -82,6 +81,8 @@ def test_what_does_not_go_with_recorded_data_is_refused(folder):
     ]:
         with pytest.raises(ConfigError, match=words):
             source.complete(settings(folder, **changes))
+    with pytest.raises(ConfigError, match="say it with --action-is"):
+        source_of(settings(folder, action_space="eef_abs"))
     with pytest.raises(ConfigError, match="leave --task push out"):
         source_of(settings(folder, task="push"))
     with pytest.raises(ConfigError, match="needs the folder of a recorded dataset"):
@@ -95,6 +96,24 @@ def test_what_does_not_go_with_recorded_data_is_refused(folder):
     ]:
         with pytest.raises(ConfigError, match=f"{flag} is for recorded datasets"):
             train(TrainConfig(**changes))
+
+
+def test_actions_become_what_is_asked_for(folder):
+    config = settings(folder, action_is="joint_abs", action_space="joint_delta")
+    source = source_of(config)
+    completed = resolve(source.complete(config), accelerator=False)
+    assert (completed.action_space, completed.action_is) == ("joint_delta", "joint_abs")
+    recorded = folder[1]["recording"].episodes[0].action
+    moves = source.recording.episodes[0].action
+    np.testing.assert_allclose(moves[1:, :4], np.diff(recorded[:, :4], axis=0), atol=1e-6)
+    assert source_of(completed).recording.fingerprint == source.recording.fingerprint
+    assert "-joint_delta-3views-" in default_folder(completed)
+    other = dataclasses.replace(completed, action_is="eef_abs")
+    (change,) = differences(completed, other)
+    assert (str(change), change.changes_program) == ("action_is: 'joint_abs' -> 'eef_abs'", True)
+    native = dataclasses.replace(completed, action_space="native")
+    (change,) = differences(native, dataclasses.replace(other, action_space="native"))
+    assert not change.changes_program
 
 
 def test_several_instructions_are_no_one_prompt(folder):

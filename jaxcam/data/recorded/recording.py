@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxcam.config.names import ActionMeaning
+
 
 @dataclass(frozen=True)
 class Calibration:
@@ -104,6 +106,8 @@ class Recording:
     """Hash of all that training sees of it: numbers, calibrations, and which pictures."""
     valid: tuple[int, ...] = ()
     """Numbers of the episodes that the dataset itself holds out, if it says so."""
+    action_is: ActionMeaning = "unknown"
+    """What its actions are, if it says so."""
     pictures: str = ""
     """Hash of which pictures those are, whatever the calibrations; empty where a reader does not
     tell them apart."""

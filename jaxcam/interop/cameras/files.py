@@ -24,11 +24,12 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from jaxcam.config.fields import as_record
+from jaxcam.config.names import ActionMeaning
 from jaxcam.errors import ConfigError
 from jaxcam.files.json import read_json
 from jaxcam.interop.cameras.optics import LensName, Optics, optics_of
@@ -184,6 +185,20 @@ def read_notes(path: Path) -> CamerasFile | None:
         if is_export and set(content) <= {"world_from_base"}:
             return None
     return _read(path, content)
+
+
+def noted_actions(path: Path) -> ActionMeaning:
+    """What a dataset's actions are, if its `meta/jaxcam.json` says so, as our exports do.
+
+    Args:
+        path: Of the file, which may be missing.
+
+    Raises:
+        DatasetError: It cannot be read.
+    """
+    content = read_json(path) if path.exists() else None
+    space = content.get("action_space") if isinstance(content, dict) else None
+    return next((meaning for meaning in get_args(ActionMeaning) if meaning == space), "unknown")
 
 
 def _read(path: Path, content: Any) -> CamerasFile:

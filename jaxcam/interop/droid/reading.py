@@ -24,6 +24,7 @@ import h5py
 import numpy as np
 from rich.console import Console
 
+from jaxcam.config.names import ActionMeaning
 from jaxcam.data.hdf5 import group_at, numbers, open_hdf5, reading
 from jaxcam.data.recorded.recording import Episode, Recording, Sight
 from jaxcam.errors import DatasetError
@@ -39,6 +40,11 @@ from jaxcam.interop.droid.videos import Video, decode_video, open_video
 
 Actions = Literal["joint_position", "cartesian_position", "joint_velocity", "cartesian_velocity"]
 """Which of the actions that DROID records; each is followed by the gripper's position."""
+MEANINGS: dict[Actions, ActionMeaning] = {
+    "joint_position": "joint_abs",
+    "cartesian_position": "eef_abs",
+}
+"""What those are that have a place among the four spaces; velocities have none."""
 RATE = 15.0
 """Steps a second of DROID's control loop."""
 JOINTS = tuple(f"joint_{i}" for i in range(1, 8))
@@ -111,6 +117,7 @@ def read_droid(
         action_names=(*arm, GRIPPER),
         rate=RATE,
         episodes=episodes,
+        action_is=MEANINGS.get(actions, "unknown"),
         fingerprint=seal.hexdigest()[:16],
         pictures=films.hexdigest()[:16],
     )

@@ -130,6 +130,7 @@ def test_k_comes_from_a_file_that_is_given_or_is_missed(root, tmp_path):
     np.testing.assert_allclose(wrist.K, [[40, 0, 32], [0, 40, 18], [0, 0, 1]], atol=1e-12)
     assert wrist.base_from_camera.shape == (LENGTH, 4, 4)
     assert wrist.source == f"K: {path}; pose: DROID's extrinsics of each step"
+    assert given.action_is == "joint_abs"
     assert given.fingerprint != recording.fingerprint == read_droid(root).fingerprint
 
 
