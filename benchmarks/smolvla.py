@@ -38,7 +38,7 @@ def make(preset: str, views: int, remat: bool) -> tuple[TrainConfig, Policy]:
     changes = (f"tokens={(1,) * WORDS}", f"remat={remat}")
     run = TrainConfig(policy="smolvla", preset=preset, views=views, model=changes)
     run = resolve(run, accelerator=True)
-    settings = policy_settings(run, make_task(run.task).prompt)
+    settings = policy_settings(run, (make_task(run.task).prompt,))
     spec = PolicySpec(ACTIONS, PROPRIO, views, run.resolution, run.resolution, settings.chunk)
     stats = {f"action_{k}": np.ones(ACTIONS) for k in ("mean", "std")}
     stats |= {f"proprio_{k}": np.ones(PROPRIO) for k in ("mean", "std")}

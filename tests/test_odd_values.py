@@ -166,7 +166,7 @@ def test_odd_networks_are_refused(policy, value):
     config = resolve(TrainConfig(policy=policy, preset=preset), accelerator=False)
     config = dataclasses.replace(config, model=(value,))
     with pytest.raises(ConfigError) as refused:
-        policy_settings(config, "Lift the cube.")
+        policy_settings(config, ("Lift the cube.",))
     assert name in str(refused.value) or "tages" in str(refused.value)
 
 

@@ -55,6 +55,9 @@ class Dataset:
     where nobody says where the grip is."""
     distortion: np.ndarray | None = field(default=None, repr=False)
     """Lenses of all cameras, see `jaxcam.rays.lens.pack` [N, 9]; None where all are pinholes."""
+    instruction: np.ndarray | None = field(default=None, repr=False)
+    """What is asked in each demonstration, by its number among the prompts [D]; None where it is
+    the same in all."""
     ordered: bool = False
     """Whether the cameras of a sample stand in the order of their window, as cameras do that have
     names, or in any, as the paper's, which differ in nothing but their pose."""
@@ -105,6 +108,8 @@ class Dataset:
             observed["distortion"] = self.distortion[cameras]
         if obs_steps == 1:
             observed = {name: values[:, 0] for name, values in observed.items()}
+        if self.instruction is not None:
+            observed["instruction"] = self.instruction[demo]
         targets = {
             name: np.where(is_pad[..., None], 0, of_all[where])
             for name, of_all in self._targets({}).items()

@@ -6,6 +6,7 @@ from pathlib import Path
 from rich.console import Console
 
 from jaxcam.data.recorded.recording import Recording
+from jaxcam.data.recorded.spaces import named_meaning
 from jaxcam.errors import DatasetError
 from jaxcam.interop.calibrations import NOTES, calibrated
 from jaxcam.interop.cameras.files import noted_actions
@@ -47,4 +48,6 @@ def read_recording(
                 f"{path}: a folder, but no recorded dataset: it has neither meta/info.json "
                 "(LeRobot) nor trajectory.h5 (DROID). Simulated demonstrations are in files."
             )
+    if recording.action_is == "unknown":
+        recording = replace(recording, action_is=named_meaning(recording))
     return calibrated(recording, cameras, console)

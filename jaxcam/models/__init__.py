@@ -1,5 +1,6 @@
 """Policies: networks defined with Flax nnx, handed out as pure functions over dicts of arrays."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -54,12 +55,12 @@ def make_policy(config: Any, spec: PolicySpec, stats: Stats) -> Policy:
     return family.make(config, spec, stats)
 
 
-def policy_settings(config: TrainConfig, prompt: str) -> Any:
+def policy_settings(config: TrainConfig, prompts: Sequence[str]) -> Any:
     """The network's settings that a run's resolved settings ask for.
 
     Args:
         config: Resolved settings of the run.
-        prompt: What its task asks for, in words.
+        prompts: What is asked for, in words: one thing, or the several that a dataset has.
 
     Raises:
         ConfigError: A change that `config.model` asks for is unknown or cannot work.
@@ -71,4 +72,4 @@ def policy_settings(config: TrainConfig, prompt: str) -> Any:
     # A preset's number may be more than a chunk that is shortened has; one that is asked may not.
     if "execute" in overrides(config.model) and settings.execute > ahead:
         raise ConfigError(f"model: execute must be at most {ahead}, got {settings.execute}.")
-    return family.instructed(settings, prompt)
+    return family.instructed(settings, prompts)

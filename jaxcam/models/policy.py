@@ -1,6 +1,6 @@
 """What every policy is: three pure functions and the record of what they were made from."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeAlias, TypeVar
 
@@ -19,7 +19,8 @@ Params: TypeAlias = dict[str, Any]
 Obs: TypeAlias = Mapping[str, jax.Array]
 """``image`` uint8 or float32 in 0 to 255 [B, V, H, W, 3], ``K`` [B, V, 3, 3] in pixels of it,
 ``base_from_camera`` [B, V, 4, 4] with OpenCV axes, ``proprio`` [B, P] and, where lenses are no
-pinholes, ``distortion`` [B, V, 9] (`jaxcam.rays.lens.pack`)."""
+pinholes, ``distortion`` [B, V, 9] (`jaxcam.rays.lens.pack`). Policies that know several prompts are
+told which by its number, ``instruction`` [B]; the first one where it is missing."""
 
 CAMERA_INPUTS = ("image", "K", "base_from_camera", "distortion")
 """What an observation says of each view; `distortion` is missing where all are pinholes."""
@@ -87,15 +88,15 @@ class Family(Generic[C]):
         make: Makes the policy from settings, sizes and statistics.
         conditioned: ``conditioned(config, conditioning)`` is the same policy, told of its cameras
             in another way.
-        instructed: ``instructed(config, prompt)`` is the same policy, told what to do in words;
-            those that do not read stay as they are.
+        instructed: ``instructed(config, prompts)`` is the same policy, told what to do in words,
+            or the things that it may be told; those that do not read stay as they are.
     """
 
     config: type[C]
     presets: Mapping[str, C]
     make: Callable[[C, PolicySpec, Stats], Policy]
     conditioned: Callable[[C, str], C]
-    instructed: Callable[[C, str], C] = lambda config, prompt: config
+    instructed: Callable[[C, Sequence[str]], C] = lambda config, prompts: config
 
 
 def pure(

@@ -71,9 +71,9 @@ class Recorded:
         return cls(as_learned(recording, config), own)
 
     @property
-    def prompt(self) -> str:
-        """What is asked in its first episode, in words."""
-        return self.recording.episodes[0].instruction or "Do what is shown."
+    def prompts(self) -> tuple[str, ...]:
+        """What is asked in its episodes, in words, each once."""
+        return tuple(p or "Do what is shown." for p in self.recording.instructions)
 
     def complete(self, config: TrainConfig) -> TrainConfig:
         """The settings with the counts, views and shape of this dataset.
@@ -103,13 +103,6 @@ class Recorded:
             resolution=self._resolution(config, preset.resolution),
             videos=0,
         )
-        instructions = sorted({e.instruction for e in self.recording.episodes})
-        if config.policy == "smolvla" and len(instructions) > 1:
-            raise ConfigError(
-                f"{self.recording.path} has {len(instructions)} instructions ({instructions[0]!r}, "
-                f"{instructions[1]!r} ...), and a run of SmolVLA reads one. Train on a part of it "
-                "with one, or another policy, which reads none."
-            )
         meaning = self.meaning(config)
         if config.policy != "smolvla" and None in (meaning.grip, meaning.gripper):
             config = replace(config, model=_without_keyframes(config.model))
@@ -153,7 +146,7 @@ class Recorded:
         config, parts = configs[0], self.parts(configs[0])
         if console and len(parts.all) == parts.train:
             console.print(f"{self.recording.path}: {NO_VALIDATION}", soft_wrap=True)
-        obs_steps = policy_settings(config, self.prompt).obs_steps
+        obs_steps = policy_settings(config, self.prompts).obs_steps
         samples = Samples(parts.layout(self.recording), parts.train, ordered=True)
         seeds = [c.seed for c in configs]
         wanted = samples.wanted(seeds, config.steps, config.batch, config.views, obs_steps)

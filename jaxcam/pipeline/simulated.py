@@ -44,9 +44,9 @@ class Simulated:
     task: str
 
     @property
-    def prompt(self) -> str:
+    def prompts(self) -> tuple[str, ...]:
         """What the task asks for, in words."""
-        return make_task(self.task).prompt
+        return (make_task(self.task).prompt,)
 
     def complete(self, config: TrainConfig) -> TrainConfig:
         """The settings with the demonstrations and cameras of the dataset file, if one is named.
@@ -91,7 +91,10 @@ class Simulated:
             console.print(f"{demos.path}: {NO_VALIDATION}", soft_wrap=True)
         samples = Samples(Layout.of(demos), len(demos.train))
         samples.check_views(config.views)
-        seeds, obs_steps = [c.seed for c in configs], policy_settings(config, task.prompt).obs_steps
+        seeds, obs_steps = (
+            [c.seed for c in configs],
+            policy_settings(config, self.prompts).obs_steps,
+        )
         wanted = samples.wanted(seeds, config.steps, config.batch, config.views, obs_steps)
         pictures = load_pictures(demos, config.resolution, console, wanted)
         space = space_of(config.action_space, config.rotations)

@@ -24,8 +24,8 @@ class Source(Protocol):
     """Demonstrations, and what becomes of a policy that has learned from them."""
 
     @property
-    def prompt(self) -> str:
-        """What they show, in words."""
+    def prompts(self) -> tuple[str, ...]:
+        """What they show, in words; several where samples say which by number."""
         ...
 
     def complete(self, config: TrainConfig) -> TrainConfig:

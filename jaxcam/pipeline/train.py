@@ -109,7 +109,7 @@ def policy_of(source: Source, config: TrainConfig, stats: Stats | None = None) -
     Raises:
         ConfigError: Its settings do not go together.
     """
-    settings = policy_settings(config, source.prompt)
+    settings = policy_settings(config, source.prompts)
     action_dim, proprio_dim = source.sizes(config)
     height, width = rows_and_columns(config.resolution)
     spec = PolicySpec(

@@ -58,7 +58,7 @@ def test_wrong_poses_matter_only_to_who_is_told(learned_from, policy, conditioni
     fast = ("sample_steps=1",) if policy == "diffusion" else ("width=16", "hidden=16")
     model = ("encoder_width=8", "keypoints=4", "keyframe_weight=0", *fast)
     config = TrainConfig(policy=policy, conditioning=conditioning, preset="laptop", model=model)
-    network = policy_settings(resolve(config, accelerator=False), "")
+    network = policy_settings(resolve(config, accelerator=False), ("",))
     made = make_policy(network, spec(network.chunk, network.obs_steps), data.stats())
     params = made.init(jax.random.key(0))
     right, wrong = action_errors(made, params, data, parts, recording.action_names, 0)

@@ -10,7 +10,7 @@ from jaxcam.checks.run import check_run
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.pipeline.sources import source_of
-from jaxcam.pipeline.train import train
+from jaxcam.pipeline.train import policy_of, train
 from jaxcam.runs.action_errors import read_errors
 from jaxcam.runs.identity import default_folder, differences, read_config, resolve
 from jaxcam.runs.metrics import read_metrics
@@ -116,15 +116,21 @@ def test_actions_become_what_is_asked_for(folder):
     assert not change.changes_program
 
 
-def test_several_instructions_are_no_one_prompt(folder):
+def test_each_episode_keeps_its_instruction(folder):
     recording = folder[1]["recording"]
     other = dataclasses.replace(recording.episodes[1], instruction="Unstack them.")
     recording.episodes[1] = other
-    config = settings(folder, policy="smolvla", preset="tiny", model=())
+    config = settings(folder, policy="smolvla", preset="tiny", model=(), hold_out_episodes=(0,))
+    source = source_of(config)
+    assert source.prompts == ("Stack the cups.", "Unstack them.")
+    completed = resolve(source.complete(config), accelerator=False)
     with pytest.raises(ConfigError, match="has 2 instructions"):
-        source_of(config).complete(config)
-    reads_none = settings(folder)
-    assert source_of(reads_none).complete(reads_none).demos == 3
+        policy_of(source, completed)  # whose preset has the tokens of one
+    data = source.dataset([completed], None)
+    asked = data.batch(np.arange(4), np.zeros(4, int), np.zeros((4, 1), int), 2)["instruction"]
+    names = [recording.episodes[part.episode].instruction for part in source.parts(completed).all]
+    assert [source.prompts[i] for i in asked] == names
+    assert names.count("Unstack them.") == 1
 
 
 def test_cameras_that_nobody_calibrated(folder):

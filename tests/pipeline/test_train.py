@@ -48,7 +48,7 @@ UPDATES = 60
 
 
 def toy_policy(config):
-    settings = policy_settings(config, "Lift the cube")
+    settings = policy_settings(config, ("Lift the cube",))
     size = tiny_training.PIXELS
     spec = PolicySpec(2, 3, 1, size, size, settings.chunk, settings.obs_steps)
     return make_policy(settings, spec, tiny_training.dataset().stats())

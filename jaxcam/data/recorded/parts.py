@@ -30,6 +30,10 @@ _GRIP = re.compile(
     r"([xyz])$"
 )
 """Names of the numbers that say where the grip is."""
+_PLACE = re.compile(
+    r".*(?:[._ ](?:pos(?:ition)?[._ ]?)?[xyz]|[._ ]r[xyz]|[._ ]q[wxyz]|roll|pitch|yaw)$"
+)
+"""Names of numbers that are a position's or a rotation's."""
 
 
 @dataclass(frozen=True)
@@ -81,8 +85,13 @@ def meaning_of(recording: Recording, grip: str = "") -> Meaning:
         ConfigError: The setting names no three columns of the state.
     """
     columns = _grip_asked(grip, recording) if grip else _grip_named(recording)
-    grippers = [i for i, name in enumerate(recording.action_names) if "grip" in name.lower()]
+    grippers = [i for i, name in enumerate(recording.action_names) if opens_gripper(name)]
     return Meaning(columns, grippers[-1] if grippers else None)
+
+
+def opens_gripper(name: str) -> bool:
+    """Whether a number of that name is the gripper's opening, and not where the grip is."""
+    return "grip" in name.lower() and not _PLACE.match(name.lower())
 
 
 def _grip_named(recording: Recording) -> tuple[int, int, int] | None:
@@ -208,6 +217,7 @@ def make_recorded(
         each = [_keyframes(e, meaning.grip, meaning.gripper) for e in episodes]
         keyframes = _padded(each, longest)
     lenses = np.stack(cameras.lenses).astype(np.float32)
+    asked = np.array([recording.instructions.index(e.instruction) for e in episodes], np.int32)
     return Dataset(
         pictures=pictures,
         K=np.stack(cameras.K).astype(np.float32),
@@ -219,6 +229,7 @@ def make_recorded(
         fingerprint=f"{recording.fingerprint}-{parts.digest}-{size_name(*pictures.rgb.shape[1:3])}px",
         keyframes=keyframes,
         distortion=lenses if lenses.any() else None,
+        instruction=asked if len(recording.instructions) > 1 else None,
         ordered=True,
     )
 

@@ -113,6 +113,11 @@ class Recording:
     tell them apart."""
 
     @property
+    def instructions(self) -> tuple[str, ...]:
+        """What was asked in its episodes, each once, in order of appearance."""
+        return tuple(dict.fromkeys(episode.instruction for episode in self.episodes))
+
+    @property
     def pictures_fingerprint(self) -> str:
         """What changes when decoded pictures are no longer those of this dataset."""
         return self.pictures or self.fingerprint

@@ -14,13 +14,15 @@ from scipy.spatial.transform import Rotation
 
 from jaxcam.config.names import ActionChoice, ActionMeaning
 from jaxcam.config.train import TrainConfig
-from jaxcam.data.recorded.parts import meaning_of
+from jaxcam.data.recorded.parts import meaning_of, opens_gripper
 from jaxcam.data.recorded.recording import Episode, Recording
 from jaxcam.errors import ConfigError
 from jaxcam.sim.actions import decode, encode, is_absolute, is_joint
 
 AGREE_M, AGREE_RAD = 0.1, 0.3
 """What the state says and the first target are this near, or they are not in the same frame."""
+NEAR = 0.5
+"""Deviations of what is felt within which most commands are that say where to be."""
 _Form = Literal["rotation vector", "Euler angles"]
 _EULER = re.compile(r"roll|pitch|yaw|euler")
 _FOUR = re.compile(r"quat|^q[wxyz]$|[._]q[wxyz]$|rot6d")
@@ -36,6 +38,27 @@ class _Poses:
     """Columns of the same quantities; empty where no names say which."""
     form: tuple[_Form, _Form] = ("rotation vector", "rotation vector")
     """How the rotations of action and state are written."""
+
+
+def named_meaning(recording: Recording) -> ActionMeaning:
+    """What actions are that have the names of what is felt, and stay near it: where to be.
+
+    Names alone do not tell, since what a grip moves by is called x, y and z as well.
+
+    Args:
+        recording: The dataset.
+    """
+    commanded = [i for i, n in enumerate(recording.action_names) if not opens_gripper(n)]
+    names, state = [recording.action_names[i] for i in commanded], list(recording.state_names)
+    if not names or not set(names) <= set(state):
+        return "unknown"
+    columns = [state.index(name) for name in names]
+    felt = np.concatenate([e.state[:, columns] for e in recording.episodes])
+    apart = np.concatenate([e.action[:, commanded] for e in recording.episodes]) - felt
+    if (np.median(np.abs(apart), 0) > NEAR * np.maximum(felt.std(0), 1e-6)).any():
+        return "unknown"
+    grip = meaning_of(recording).grip
+    return "eef_abs" if grip is not None and tuple(columns[:3]) == grip else "joint_abs"
 
 
 def as_learned(recording: Recording, config: TrainConfig) -> Recording:
@@ -122,7 +145,7 @@ def _poses(recording: Recording, joints: bool, grip: Sequence[int]) -> _Poses | 
     """Where poses are in actions and state; or why that is not known."""
     names = [name.lower() for name in recording.action_names]
     if joints:
-        action = tuple(i for i, name in enumerate(names) if "grip" not in name)
+        action = tuple(i for i, name in enumerate(names) if not opens_gripper(name))
         return _Poses(action, _same_joints(recording, action))
     if len(names) < 6:
         return f"a position and a rotation are six numbers, and an action has {len(names)}"

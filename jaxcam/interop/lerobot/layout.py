@@ -27,6 +27,7 @@ NOT_THERE = frozenset({
 OF_THE_RUN = NOT_THERE | {
     "remat", "keyframe_weight", "dropout", "kl_weight", "train", "chunk", "steps", "sampler",
     "sample_steps", "temperature", "crop_random", "prompt", "tokenizer", "tokens",
+    "other_prompts", "other_tokens",
 }  # fmt: skip
 """Settings that change nothing of what weights were trained to compute, so that a run that begins
 with the weights chooses them: how it is told its cameras, how it is trained, how it acts."""

@@ -26,6 +26,11 @@ class SmolVlaConfig(CameraConfig):
     """File tokenizer.json that turns the prompt into tokens."""
     tokens: tuple[int, ...] = ()
     """The prompt's tokens; unless given, the tokenizer makes them."""
+    other_prompts: tuple[str, ...] = ()
+    """What else it may be told, in a dataset with several instructions; observations say which by
+    number, from 1 (0 is the first prompt)."""
+    other_tokens: tuple[tuple[int, ...], ...] = ()
+    """The tokens of those."""
     attention: str = "joint"
     """What the expert's layers attend to: prefix and actions (joint), or in every other layer the
     prefix alone (interleaved)."""
@@ -112,16 +117,16 @@ class SmolVlaConfig(CameraConfig):
             )
         if self.attention == "interleaved" and self.layers % 2:
             raise ConfigError(f"Interleaved layers come in pairs, got {self.layers}.")
-        if len(self.tokens) > MOST_TOKENS:
-            raise ConfigError(
-                f"The prompt has {len(self.tokens)} tokens; SmolVLA takes {MOST_TOKENS}. "
-                "Shorten it."
-            )
-        if any(not 0 <= token < self.vocabulary for token in self.tokens):
-            raise ConfigError(
-                f"Tokens must be 0 to {self.vocabulary - 1}, got {self.tokens}. Is the tokenizer "
-                "that of the vision language model?"
-            )
+        for tokens in (self.tokens, *self.other_tokens):
+            if len(tokens) > MOST_TOKENS:
+                raise ConfigError(
+                    f"The prompt has {len(tokens)} tokens; SmolVLA takes {MOST_TOKENS}. Shorten it."
+                )
+            if any(not 0 <= token < self.vocabulary for token in tokens):
+                raise ConfigError(
+                    f"Tokens must be 0 to {self.vocabulary - 1}, got {tokens}. Is the tokenizer "
+                    "that of the vision language model?"
+                )
 
     def crosses(self, layer: int) -> bool:
         """Whether a layer of the expert only reads the prefix."""

@@ -6,6 +6,7 @@ holds in training as in sampling.
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,10 +24,20 @@ from jaxcam.models.smolvla.flow import time_embedding
 from jaxcam.models.smolvla.siglip import Siglip
 from jaxcam.models.smolvla.smollm import NORMAL, KeyValue, Layer, dense, rms_norm
 from jaxcam.models.smolvla.stack import through
+from jaxcam.rays.rotations import Array
 
-Prefix = tuple[KeyValue, ...]
-"""What the expert may read of images, words and state: one for each of the layers that follow each
-other in turn, with all their repetitions along the first axis."""
+Contexts = tuple[KeyValue, ...]
+"""One for each of the layers that follow each other in turn, with all their repetitions along the
+first axis."""
+
+
+class Prefix(NamedTuple):
+    """What the expert may read of images, words and state."""
+
+    contexts: Contexts
+    is_there: jax.Array | None
+    """[B, N] False at tokens that only fill a prompt up; None where all have one prompt."""
+
 
 LayerBlock = tuple[Layer, ...]
 
@@ -121,8 +132,7 @@ class SmolVla(nnx.Module):
         """Read images, cameras, the prompt and the normalised state [B, state_width]."""
         batch = state.shape[0]
         images = self._images(obs).reshape(batch, -1, self.config.width)
-        words = self.embed(jnp.asarray(self.config.tokens))
-        words = jnp.broadcast_to(words, (batch, *words.shape))
+        words, is_word = self._words(obs, batch)
         if self.config.scale_embeddings:
             images, words = images * self.config.width**0.5, words * self.config.width**0.5
         parts = [images, words]
@@ -131,7 +141,10 @@ class SmolVla(nnx.Module):
             parts.append(self.pose(poses.reshape(*poses.shape[:2], 16)))
         parts.append(self.state(state)[:, None])
         x = jnp.concatenate([p.astype(self.config.dtype) for p in parts], 1)
-        return self._read(x)
+        if is_word is None:
+            return self._read(x, None)
+        before, behind = images.shape[1], x.shape[1] - images.shape[1] - words.shape[1]
+        return self._read(x, jnp.pad(is_word, ((0, 0), (before, behind)), constant_values=True))
 
     def velocity(self, prefix: Prefix, x: jax.Array, time: jax.Array) -> jax.Array:
         """Velocities at noisy actions [B, T, W] and times [B], float32 [B, T, W]."""
@@ -141,25 +154,41 @@ class SmolVla(nnx.Module):
         x = self.time_out(jax.nn.silu(self.time_in(x)))
         crosses = [self.config.crosses(i) for i in range(self.turn)]
 
-        def step(block: LayerBlock, x: jax.Array, contexts: Prefix) -> tuple[jax.Array, None]:
+        def step(block: LayerBlock, x: jax.Array, contexts: Contexts) -> tuple[jax.Array, None]:
             for layer, context, cross in zip(block, contexts, crosses, strict=True):
-                x = (_cross_layer if cross else _joint_layer)(layer, x, context)
+                x = (_cross_layer if cross else _joint_layer)(layer, x, context, prefix.is_there)
             return x, None
 
-        x, _ = through(self._turns(self.expert), step, x, prefix, remat=self.config.remat)
+        x, _ = through(self._turns(self.expert), step, x, prefix.contexts, remat=self.config.remat)
         return self.action_out(self.norm(x).astype(jnp.float32))
 
-    def _read(self, x: jax.Array) -> Prefix:
-        positions = np.arange(x.shape[1])
+    def _words(self, obs: Obs, batch: int) -> tuple[jax.Array, jax.Array | None]:
+        """Embedded prompts [B, N, width], and which tokens are words where they differ."""
+        prompts = (self.config.tokens, *self.config.other_tokens)
+        if len(prompts) == 1:
+            words = self.embed(jnp.asarray(prompts[0]))
+            return jnp.broadcast_to(words, (batch, *words.shape)), None
+        longest = max(map(len, prompts))
+        table = np.array([[*tokens, *[0] * (longest - len(tokens))] for tokens in prompts])
+        lengths = jnp.asarray([len(tokens) for tokens in prompts])
+        asked = obs["instruction"] if "instruction" in obs else jnp.zeros(batch, int)
+        is_word = jnp.arange(longest) < lengths[asked][:, None]
+        return self.embed(jnp.asarray(table)[asked]), is_word
+
+    def _read(self, x: jax.Array, is_there: jax.Array | None) -> Prefix:
+        positions: Array = np.arange(x.shape[1])
         # The state, the last token, is a block of its own; before it everyone sees everyone.
-        mask = np.tri(len(positions), dtype=bool)
+        mask: Array = np.tri(len(positions), dtype=bool)
         if self.config.mask == "blocks":
             mask[:-1, :-1] = True
+        if is_there is not None:  # tokens that fill up are not counted and not seen
+            positions = jnp.cumsum(is_there, 1) - 1
+            mask = mask & is_there[:, None]
         crosses = [self.config.crosses(i) for i in range(self.turn)]
 
         def step(
             blocks: tuple[LayerBlock, LayerBlock], x: jax.Array, _: None
-        ) -> tuple[jax.Array, Prefix]:
+        ) -> tuple[jax.Array, Contexts]:
             contexts = []
             for layer, reader, cross in zip(*blocks, crosses, strict=True):
                 y = layer.norm1(x)
@@ -169,7 +198,7 @@ class SmolVla(nnx.Module):
             return x, tuple(contexts)
 
         both = list(zip(self._turns(self.text), self._turns(self.expert), strict=True))
-        return through(both, step, x, remat=self.config.remat)[1]
+        return Prefix(through(both, step, x, remat=self.config.remat)[1], is_there)
 
     def _turns(self, layers: Sequence[Layer]) -> list[LayerBlock]:
         """Layers in groups that look alike: single ones, or pairs if every other one differs."""
@@ -194,18 +223,27 @@ class SmolVla(nnx.Module):
         return self.connector(x.reshape(x.shape[0], -1, x.shape[-1]))
 
 
-def _joint_layer(layer: Layer, x: jax.Array, context: KeyValue) -> jax.Array:
+def _joint_layer(
+    layer: Layer, x: jax.Array, context: KeyValue, is_there: jax.Array | None
+) -> jax.Array:
     """Actions attend to the prefix and to the actions before them."""
     past, count = context.key.shape[1], x.shape[1]
     positions = past + np.arange(count)
+    if is_there is not None:
+        positions = is_there.sum(1, keepdims=True) + np.arange(count)
     y = layer.norm1(x)
     own = layer.keys_values(y, positions)
     whole = KeyValue(*(jnp.concatenate(pair, 1) for pair in zip(context, own, strict=True)))
     mask = np.concatenate([np.ones((count, past), bool), np.tri(count, dtype=bool)], 1)
+    if is_there is not None:
+        mask = mask & jnp.pad(is_there, ((0, 0), (0, count)), constant_values=True)[:, None]
     return layer.attend(x, layer.queries(y, positions), whole, mask)
 
 
-def _cross_layer(layer: Layer, x: jax.Array, context: KeyValue) -> jax.Array:
+def _cross_layer(
+    layer: Layer, x: jax.Array, context: KeyValue, is_there: jax.Array | None
+) -> jax.Array:
     """Actions attend to the prefix only; their positions start at 0."""
     query = layer.queries(layer.norm1(x), np.arange(x.shape[1]))
-    return layer.attend(x, query, context, None)
+    mask = None if is_there is None else is_there[:, None].repeat(x.shape[1], 1)
+    return layer.attend(x, query, context, mask)

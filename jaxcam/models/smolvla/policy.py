@@ -22,7 +22,7 @@ from jaxcam.models.policy import (
 from jaxcam.models.smolvla.config import SMOLVLA_PRESETS, SmolVlaConfig
 from jaxcam.models.smolvla.flow import draw_time, integrate, line
 from jaxcam.models.smolvla.network import PRETRAINED, SmolVla
-from jaxcam.models.smolvla.prompt import NO_TOKENS, with_prompt
+from jaxcam.models.smolvla.prompt import NO_TOKENS, with_prompts
 
 
 def velocity_loss(
@@ -111,4 +111,4 @@ def _check_fit(config: SmolVlaConfig, spec: PolicySpec) -> None:
         )
 
 
-FAMILY = Family(SmolVlaConfig, SMOLVLA_PRESETS, make_smolvla, with_conditioning, with_prompt)
+FAMILY = Family(SmolVlaConfig, SMOLVLA_PRESETS, make_smolvla, with_conditioning, with_prompts)

@@ -1,5 +1,6 @@
-"""A task's prompt as the tokens that SmolVLA reads."""
+"""Prompts as the tokens that SmolVLA reads."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from jaxcam.errors import ConfigError
@@ -37,17 +38,30 @@ def tokenize(prompt: str, file: str) -> tuple[int, ...]:
     return tuple(tokenizer.encode(prompt.rstrip("\n") + "\n").ids)
 
 
-def with_prompt(config: SmolVlaConfig, prompt: str) -> SmolVlaConfig:
-    """The settings with their prompt as tokens, if they name a tokenizer's file.
+def with_prompts(config: SmolVlaConfig, prompts: Sequence[str]) -> SmolVlaConfig:
+    """The settings with their prompts as tokens, if they name a tokenizer's file.
 
     Args:
-        config: Settings. A prompt in them counts more than the other one, tokens more than both.
-        prompt: What the task asks for.
+        config: Settings. A prompt in them counts more than the other ones, tokens more than both.
+        prompts: What is asked for, one thing or several.
 
     Raises:
-        ConfigError: The prompt cannot be turned into tokens, see `tokenize`.
+        ConfigError: A prompt cannot be turned into tokens, see `tokenize`, or there are several and
+            tokens of one.
     """
+    if config.tokens and len(prompts) > 1:
+        raise ConfigError(
+            f"The dataset has {len(prompts)} instructions ({prompts[0]!r}, {prompts[1]!r} ...), "
+            "and the settings have the tokens of one. Leave tokens out and give the tokenizer, "
+            "--model tokenizer=path/to/tokenizer.json; with --model prompt=... all are one."
+        )
     if config.tokens or not config.tokenizer:
         return config
-    prompt = config.prompt or prompt
-    return replace(config, prompt=prompt, tokens=tokenize(prompt, config.tokenizer))
+    first, *others = [config.prompt] if config.prompt else prompts
+    return replace(
+        config,
+        prompt=first,
+        tokens=tokenize(first, config.tokenizer),
+        other_prompts=tuple(others),
+        other_tokens=tuple(tokenize(prompt, config.tokenizer) for prompt in others),
+    )

@@ -13,6 +13,7 @@ from jax.nn.initializers import Initializer, normal
 from jax.typing import DTypeLike
 
 from jaxcam.models.layers import TORCH
+from jaxcam.rays.rotations import Array, array_namespace
 
 WAVELENGTH = 10_000.0
 """Longest wavelength of the rotary positions over 2 pi. SmolVLA was trained with this one, although
@@ -48,16 +49,16 @@ def rms_norm(width: int, *, rngs: nnx.Rngs, dtype: DTypeLike) -> nnx.RMSNorm:
     return nnx.RMSNorm(width, epsilon=1e-5, dtype=dtype, use_fast_variance=False, rngs=rngs)
 
 
-def rope(x: jax.Array, positions: np.ndarray) -> jax.Array:
+def rope(x: jax.Array, positions: Array) -> jax.Array:
     """Rotate queries or keys by their positions, first half of the channels against the second.
 
     Args:
         x: [B, N, heads, head_dim].
-        positions: Position of every token, [N].
+        positions: Position of every token, [N] or [B, N].
     """
-    half = x.shape[-1] // 2
-    angle = positions[:, None] / WAVELENGTH ** (np.arange(half) / half)
-    sin, cos = (f(angle)[:, None].astype(np.float32) for f in (np.sin, np.cos))
+    half, xp = x.shape[-1] // 2, array_namespace(positions)
+    angle = positions[..., None] / WAVELENGTH ** (np.arange(half) / half)
+    sin, cos = (f(angle)[..., None, :].astype(np.float32) for f in (xp.sin, xp.cos))
     a, b = jnp.split(x.astype(jnp.float32), 2, -1)
     return jnp.concatenate([a * cos - b * sin, b * cos + a * sin], -1).astype(x.dtype)
 
@@ -100,11 +101,11 @@ class Layer(nnx.Module):
         self.gate, self.up = layer(width, hidden), layer(width, hidden)
         self.down = layer(hidden, width)
 
-    def queries(self, normed: jax.Array, positions: np.ndarray) -> jax.Array:
+    def queries(self, normed: jax.Array, positions: Array) -> jax.Array:
         """Rotated queries [B, N, heads, head_dim] of normalised tokens."""
         return rope(self._heads(self.query(normed)), positions)
 
-    def keys_values(self, normed: jax.Array, positions: np.ndarray) -> KeyValue:
+    def keys_values(self, normed: jax.Array, positions: Array) -> KeyValue:
         """Rotated keys, and values, of normalised tokens."""
         key, value = self._heads(self.key(normed)), self._heads(self.value(normed))
         return KeyValue(rope(key, positions), value)
@@ -115,7 +116,7 @@ class Layer(nnx.Module):
         return KeyValue(self._heads(self.key(key)), self._heads(self.value(value)))
 
     def attend(
-        self, x: jax.Array, query: jax.Array, context: KeyValue, mask: np.ndarray | None
+        self, x: jax.Array, query: jax.Array, context: KeyValue, mask: Array | None
     ) -> jax.Array:
         """Tokens after attention and perceptron.
 
@@ -123,9 +124,9 @@ class Layer(nnx.Module):
             x: Tokens [B, N, width].
             query: Their rotated queries.
             context: What they attend to.
-            mask: Where they may, [N, M]; None is everywhere.
+            mask: Where they may, [N, M] or [B, N, M]; None is everywhere.
         """
-        keep = None if mask is None else mask[None, None]
+        keep = None if mask is None else mask.reshape(-1, 1, *mask.shape[-2:])
         mixed = jax.nn.dot_product_attention(query, context.key, context.value, mask=keep)
         x = x + self.out(mixed.reshape(*mixed.shape[:2], -1))
         y = self.norm2(x)

@@ -7,7 +7,7 @@ import pytest
 import robots
 
 from jaxcam.data.recorded.fitting import fit
-from jaxcam.data.recorded.parts import HeldOut, Meaning, make_recorded, parts_of
+from jaxcam.data.recorded.parts import HeldOut, Meaning, make_recorded, opens_gripper, parts_of
 from jaxcam.data.recorded.pictures import load_recorded_pictures
 from jaxcam.errors import ConfigError
 
@@ -155,3 +155,22 @@ def test_keyframes_are_where_the_gripper_changes(tmp_path):
     _, data = made(tmp_path, recording, HeldOut(episodes=(3,)), meaning=meaning)
     where = [3, 3, 3, 6, 6, 6, 9, 9, 9, 9]
     np.testing.assert_array_equal(data.keyframes[0, :10], first.state[where, :3])
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("gripper", True),
+        ("right_gripper.pos", True),
+        ("gripper_position", True),
+        ("main_gripper", True),
+        ("grip_x", False),
+        ("gripper_pos_z", False),
+        ("gripper.position.x", False),
+        ("gripper_roll", False),
+        ("grip_rx", False),
+        ("joint_1", False),
+    ],
+)
+def test_a_gripper_is_no_place(name, expected):
+    assert opens_gripper(name) == expected

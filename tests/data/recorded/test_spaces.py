@@ -9,12 +9,12 @@ from scipy.spatial.transform import Rotation
 
 from jaxcam.config.train import TrainConfig
 from jaxcam.data.recorded.recording import Episode, Recording
-from jaxcam.data.recorded.spaces import as_learned, in_space
+from jaxcam.data.recorded.spaces import as_learned, in_space, named_meaning
 from jaxcam.errors import ConfigError
 
 POSE = ("x", "y", "z", "rx", "ry", "rz", "gripper")
 GRIP = ("grip_x", "grip_y", "grip_z")
-STEPS = (9, 6)
+STEPS = (40, 30)
 
 
 def rotations(rng, count):
@@ -127,6 +127,17 @@ def test_where_nobody_says_what_was_measured_the_first_step_is_none(recording):
 def test_what_cannot_be_told_is_refused(recording, spaces, words):
     with pytest.raises(ConfigError, match=words):
         in_space(recording, *spaces, (0, 1, 2))
+
+
+def test_actions_that_are_near_what_is_felt_by_the_same_name_say_where_to_be():
+    targets = joints()
+    assert named_meaning(targets) == "joint_abs"
+    assert named_meaning(replace(targets, state_names=tuple("abcdef"))) == "unknown"
+    assert named_meaning(in_space(targets, "joint_abs", "joint_delta")) == "unknown"
+    names = (*GRIP, "rx", "ry", "rz", "gripper")
+    poses = replace(grips(), action_names=names)
+    assert named_meaning(poses) == "eef_abs"
+    assert named_meaning(in_space(poses, "eef_abs", "eef_delta", (0, 1, 2))) == "unknown"
 
 
 def test_a_run_learns_what_its_settings_ask_for():

@@ -109,3 +109,33 @@ def test_bfloat16_is_close_to_float32():
 def test_sizes_that_do_not_fit(changes, sizes, message):
     with pytest.raises(ConfigError, match=message):
         make_policy(replace(TINY, **changes), replace(SPEC, **sizes), make_stats())
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"attention": "joint", "mask": "causal"},
+        {"attention": "interleaved", "mask": "blocks", "layers": 2},
+    ],
+)
+def test_each_sample_is_told_its_own_prompt(changes):
+    """One policy of two prompts is two policies of one, whatever fills the shorter one up."""
+    prompts = ((1, 2), (3, 4, 5, 6, 7))
+    config = replace(TINY, conditioning="none", twin_of="none", **changes)
+    both = make_policy(
+        replace(config, tokens=prompts[0], other_tokens=prompts[1:]), SPEC, make_stats()
+    )
+    params = start(both)
+    obs = {
+        k: v for k, v in make_batch(size=32).items() if k not in ("action", "is_pad", "keyframe")
+    }
+    act = jit(both.act)
+    together = act(params, obs | {"instruction": np.array([0, 1], np.int32)}, None)
+    each = []
+    for i, tokens in enumerate(prompts):
+        one = make_policy(replace(config, tokens=tokens), SPEC, make_stats())
+        each.append(jit(one.act)(params, obs, None)[i])
+    np.testing.assert_allclose(together, np.stack(each), atol=1e-5)
+    assert np.abs(each[0] - act(params, obs, None)[0]).max() < 1e-5  # the first where nobody says
+    other = act(params, obs | {"instruction": np.array([1, 0], np.int32)}, None)
+    assert np.abs(other - together).max() > 1e-3

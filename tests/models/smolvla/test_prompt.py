@@ -6,7 +6,7 @@ from jaxcam.config.names import TaskName, names_of
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
 from jaxcam.models.smolvla.config import SmolVlaConfig
-from jaxcam.models.smolvla.prompt import tokenize, with_prompt
+from jaxcam.models.smolvla.prompt import tokenize, with_prompts
 from jaxcam.pipeline.sources import source_of
 from jaxcam.pipeline.train import policy_of
 from jaxcam.runs.identity import resolve
@@ -47,7 +47,9 @@ def test_training_on_any_task_reads_that_tasks_prompt(tokenizer, task):
 def test_prompt_of_the_user_counts_more_than_the_tasks(tokenizer):
     file = tokenizer[1]
     assert tokenize("Lift the cube", file) == tokenize("Lift the cube\n", file)
-    config = with_prompt(SmolVlaConfig(tokenizer=file, prompt="Lift the cube"), "Move the can")
+    config = with_prompts(
+        SmolVlaConfig(tokenizer=file, prompt="Lift the cube"), ("Move the can", "Roll")
+    )
     assert config.tokens == tokenize("Lift the cube", file) != tokenize("Move the can", file)
 
 
@@ -58,4 +60,14 @@ def test_what_is_no_tokenizer_is_refused(tokenizer, tmp_path):
 
 def test_known_tokens_need_no_file():
     config = SmolVlaConfig(tokenizer="gone.json", tokens=(1, 2))
-    assert with_prompt(config, "Lift the cube") is config
+    assert with_prompts(config, ("Lift the cube",)) is config
+
+
+def test_several_prompts_are_told_by_number(tokenizer):
+    file = tokenizer[1]
+    prompts = ("Lift the cube", "Roll the ball to the target")
+    config = with_prompts(SmolVlaConfig(tokenizer=file), prompts)
+    assert (config.prompt, config.other_prompts) == (prompts[0], prompts[1:])
+    assert (config.tokens, *config.other_tokens) == tuple(tokenize(p, file) for p in prompts)
+    one = with_prompts(SmolVlaConfig(tokenizer=file, prompt="Move the can"), prompts)
+    assert (one.prompt, one.other_prompts, one.other_tokens) == ("Move the can", (), ())
