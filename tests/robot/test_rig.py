@@ -47,7 +47,7 @@ def test_a_request_overrules_the_file(tmp_path):
     assert moment["distortion"][0, 0] == np.float32(-0.2)
 
 
-def test_pictures_of_another_shape_than_the_files_K(tmp_path):
+def test_pictures_of_another_shape_than_in_the_file(tmp_path):
     rig = read_rig(write(tmp_path, {"front": entry((64, 64))}), NAMES.views)
     with pytest.raises(JaxcamError, match="K is for 64x64, the pictures are 48x32"):
         Reader(NAMES, SPEC, rig=rig).read(request(camera__front__intrinsics=None))
