@@ -146,7 +146,7 @@ class Recorded:
             recording.state_names,
             recording.action_names,
             recording.rate,
-            self.prompt,
+            self.prompts[0],
         )
 
     def parts(self, config: TrainConfig) -> Parts:
