@@ -76,6 +76,12 @@ class Policy:
     execute: int
     trained: Callable[[Params], Any] | None = None
 
+    @property
+    def prompts(self) -> tuple[str, ...]:
+        """What it can be asked for, in words; nothing where it does not read."""
+        first = getattr(self.config, "prompt", "")
+        return (first, *self.config.other_prompts) if first else ()
+
 
 @dataclass(frozen=True)
 class Family(Generic[C]):

@@ -61,6 +61,8 @@ class AskedPolicy:
             lens: For cameras with lenses instead of pinholes.
         """
         obs = blank(self.candidate.policy.spec, lens=lens)
+        if len(self.candidate.policy.prompts) > 1:
+            obs["instruction"] = np.zeros((), np.int32)
         self.chunks([Asked(obs)])
 
     def together(self, asked: Sequence[Asked]) -> list[int]:

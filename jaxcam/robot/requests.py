@@ -5,7 +5,7 @@ with slashes. Every complaint says which entry, what was expected and what was g
 """
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -24,10 +24,13 @@ IMAGES, STATE = "observation.images.", "observation.state"
 LARGEST_SIDE = 4096
 """Of a picture (pixels)."""
 MOST_CALLS = 2**31 - 1
+MOST_NAMED = 10
+"""Prompts that a complaint lists."""
 
 Moment = Mapping[str, np.ndarray]
 """What a policy is shown of one moment: `image` uint8 [V, H, W, 3], `K` [V, 3, 3],
-`base_from_camera` [V, 4, 4], `proprio` [P] and perhaps `distortion` [V, 9]."""
+`base_from_camera` [V, 4, 4], `proprio` [P], and perhaps `distortion` [V, 9] and the number of what
+is asked, `instruction`."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,7 @@ class Reader:
         width: Rows of a batch.
         needs_cameras: Whether the policy is told where its cameras are.
         rig: Cameras that stand.
-        instruction: The only thing that it can be asked for; empty where it does not read.
+        prompts: What it can be asked for; empty where it does not read.
     """
 
     def __init__(
@@ -62,10 +65,10 @@ class Reader:
         width: int = 1,
         needs_cameras: bool = True,
         rig: Rig | None = None,
-        instruction: str = "",
+        prompts: Sequence[str] = (),
     ) -> None:
         self._views, self._spec, self._width = interface.views, spec, width
-        self._needs_cameras, self._instruction = needs_cameras, instruction
+        self._needs_cameras, self._prompts = needs_cameras, [p.strip() for p in prompts]
         self._rig = rig or Rig({})
         self._state_names = interface.state_names
         names = [IMAGES + view for view in self._views] + [STATE, "prompt", "call", "row"]
@@ -103,7 +106,9 @@ class Reader:
             if not moment["distortion"].any():
                 del moment["distortion"]
             moments.append({**moment, "proprio": state[t]})
-        self._check_prompt(given.get("prompt"))
+        asked = self._asked(given.get("prompt"))
+        if len(self._prompts) > 1:
+            moments = [{**moment, "instruction": asked} for moment in moments]
         call = _number("call", given.get("call"), MOST_CALLS)
         return Request(tuple(moments), call, _number("row", given.get("row"), self._width - 1))
 
@@ -214,17 +219,22 @@ class Reader:
             _check(view, size, *(x.tobytes() for x in map(np.float64, camera.at(t))))
         return camera
 
-    def _check_prompt(self, prompt: Any) -> None:
-        """Refuses what the policy cannot be asked for."""
-        if prompt is None:
-            return
-        if not isinstance(prompt, str):
+    def _asked(self, prompt: Any) -> np.ndarray:
+        """The number of what the policy is asked for."""
+        if prompt is not None and not isinstance(prompt, str):
             raise PortError(f"prompt: expected text, got {type(prompt).__name__}.")
-        if self._instruction and prompt.strip() != self._instruction.strip():
+        known = self._prompts
+        if not known or (prompt is None and len(known) == 1):
+            return np.int32(0)
+        if prompt is None or prompt.strip() not in known:
+            said = "none" if prompt is None else f"{prompt!r:.200}"
+            expected = ", ".join(f"{name!r:.200}" for name in known[:MOST_NAMED])
+            more = f" and {len(known) - MOST_NAMED} more" if len(known) > MOST_NAMED else ""
             raise PortError(
-                f"prompt: expected {self._instruction!r:.200}, which is all that the policy has "
-                f"learned, or none; got {prompt!r:.200}."
+                f"prompt: expected {'one of ' if len(known) > 1 else ''}{expected}{more}, which is "
+                f"all that the policy has learned; got {said}."
             )
+        return np.int32(known.index(prompt.strip()))
 
 
 _CAMERA = {"intrinsics": (3, 3), "base_from_camera": (4, 4), "distortion": (PACKED,)}

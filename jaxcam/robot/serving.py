@@ -100,7 +100,7 @@ class Service:
             width=self.policy.width,
             needs_cameras=self.needs_cameras,
             rig=self.rig,
-            instruction=getattr(self.candidate.policy.config, "prompt", ""),
+            prompts=self.candidate.policy.prompts,
         )
         averaging = None
         if self.ensemble:
@@ -124,6 +124,7 @@ class Service:
             "conditioning": config.conditioning,
             "seed": config.seed,
             "prompt": self.interface.prompt,
+            "prompts": list(policy.prompts),
             "views": list(views),
             "views_at_once": spec.views,
             "image_size": [spec.height, spec.width],

@@ -126,6 +126,8 @@ def test_each_episode_keeps_its_instruction(folder):
     completed = resolve(source.complete(config), accelerator=False)
     with pytest.raises(ConfigError, match="has 2 instructions"):
         policy_of(source, completed)  # whose preset has the tokens of one
+    reads_none = settings(folder, hold_out_episodes=(0,))
+    completed = resolve(source.complete(reads_none), accelerator=False)
     data = source.dataset([completed], None)
     asked = data.batch(np.arange(4), np.zeros(4, int), np.zeros((4, 1), int), 2)["instruction"]
     names = [recording.episodes[part.episode].instruction for part in source.parts(completed).all]

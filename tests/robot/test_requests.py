@@ -150,9 +150,9 @@ def test_a_camera_of_a_view_without_a_picture_is_refused():
 
 def test_what_was_learned_is_all_that_can_be_asked_for():
     assert read(request(prompt="anything"))
-    assert read(request(prompt="Lift it. "), instruction="Lift it.")
+    assert read(request(prompt="Lift it. "), prompts=("Lift it.",))
     with pytest.raises(PortError, match=r"expected 'Lift it.'.* got 'Dance.'"):
-        read(request(prompt="Dance."), instruction="Lift it.")
+        read(request(prompt="Dance."), prompts=("Lift it.",))
 
 
 def test_each_new_camera_is_checked_and_known_ones_are_not(monkeypatch):
@@ -178,3 +178,13 @@ def test_each_new_camera_is_checked_and_known_ones_are_not(monkeypatch):
     for _ in range(2):  # a bad one is looked at every time
         with pytest.raises(JaxcamError, match="rotation"):
             reader.read(request(**moved | {"camera__front__base_from_camera": spoilt}))
+
+
+def test_of_several_prompts_the_one_that_is_asked_is_told_by_number():
+    known = ("Lift it.", "Put it down.")
+    [moment] = read(request(prompt="Put it down. "), prompts=known).moments
+    assert moment["instruction"] == 1
+    assert "instruction" not in read(request(prompt="Lift it."), prompts=known[:1]).moments[0]
+    for prompt in ("Dance.", None):
+        with pytest.raises(PortError, match=r"expected one of 'Lift it\.', 'Put it down\.'"):
+            read(request(prompt=prompt), prompts=known)
