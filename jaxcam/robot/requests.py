@@ -17,7 +17,7 @@ from jaxcam.errors import CameraError, PortError, closest
 from jaxcam.models import PolicySpec
 from jaxcam.rays import Camera
 from jaxcam.rays.lens import PACKED
-from jaxcam.robot.rig import Rig, Standing
+from jaxcam.robot.rig import FixedCamera, Rig
 from jaxcam.runs.interface import Interface
 
 IMAGES, STATE = "observation.images.", "observation.state"
@@ -27,7 +27,7 @@ MOST_CALLS = 2**31 - 1
 MOST_NAMED = 10
 """Prompts that a complaint lists."""
 
-Moment = Mapping[str, np.ndarray]
+Shown = Mapping[str, np.ndarray]
 """What a policy is shown of one moment: `image` uint8 [V, H, W, 3], `K` [V, 3, 3],
 `base_from_camera` [V, 4, 4], `proprio` [P], and perhaps `distortion` [V, 9] and the number of what
 is asked, `instruction`."""
@@ -37,7 +37,7 @@ is asked, `instruction`."""
 class Request:
     """What one request says."""
 
-    moments: tuple[Moment, ...] = field(repr=False)
+    moments: tuple[Shown, ...] = field(repr=False)
     """The moment now, or all that the policy sees at once, oldest first."""
     call: int | None
     """Number of the request in its episode, if it says so: what chance depends on."""
@@ -45,7 +45,7 @@ class Request:
     """Its row in the batch, if it says so: likewise."""
 
 
-class Reader:
+class RequestReader:
     """Reads requests for one policy.
 
     Args:
@@ -184,7 +184,7 @@ class Reader:
 
     def _camera(self, view: str, given: Mapping[str, Any], size: tuple[int, int]) -> "_Camera":
         """Where the camera of a view is, and how it sees, by the request or by the rig."""
-        standing = self._rig.cameras.get(view, Standing())
+        standing = self._rig.cameras.get(view, FixedCamera())
         own = {
             what: self._numbers(name, given[name], shape)
             for what, shape in _CAMERA.items()

@@ -11,7 +11,7 @@ from served_runs import linear
 from tiny_training import SPEC
 
 from jaxcam.evaluation.evaluator import Acting, Candidate
-from jaxcam.robot.asked import Asked, AskedPolicy, blank, stacked
+from jaxcam.robot.asked import AskedPolicy, Question, blank, observation_of
 
 WIDTH = 4
 
@@ -49,22 +49,22 @@ def act():
 def test_chunks_are_those_of_act_bit_for_bit_in_any_company(act, order):
     asked, rows, local = act
     assert not asked.draws
-    chunks = asked.chunks([Asked(rows[i], call=i) for i in order])
+    chunks = asked.chunks([Question(rows[i], call=i) for i in order])
     for i, chunk in zip(order, chunks, strict=True):
         assert chunk.tobytes() == local[i].tobytes()
 
 
 def test_a_policy_without_chance_takes_all_that_fit_together():
     asked, rows = AskedPolicy(linear(noise=False), 0, WIDTH), observations(1)
-    assert asked.together([Asked(rows[0], call=i) for i in range(6)]) == [0, 1, 2, 3]
+    assert asked.together([Question(rows[0], call=i) for i in range(6)]) == [0, 1, 2, 3]
 
 
 def test_cameras_with_lenses_are_computed_apart_from_pinholes():
     asked, [plain] = AskedPolicy(linear(noise=False), 0, WIDTH), observations(1)
     bent = plain | {"distortion": np.full((SPEC.views, 9), 0.1, np.float32)}
-    assert asked.together([Asked(plain), Asked(bent), Asked(plain)]) == [0, 2]
-    assert asked.together([Asked(bent), Asked(plain), Asked(bent)]) == [0, 2]
-    np.testing.assert_array_equal(*map(asked.chunks, ([Asked(bent)], [Asked(plain)])))
+    assert asked.together([Question(plain), Question(bent), Question(plain)]) == [0, 2]
+    assert asked.together([Question(bent), Question(plain), Question(bent)]) == [0, 2]
+    np.testing.assert_array_equal(*map(asked.chunks, ([Question(bent)], [Question(plain)])))
 
 
 def test_chance_is_that_of_rollouts_by_call_and_row():
@@ -75,20 +75,20 @@ def test_chance_is_that_of_rollouts_by_call_and_row():
     acting = Acting(candidate.policy.act)
     for call in (0, 3):
         rollouts = np.asarray(acting(candidate.params, jax.random.key(7), batch, jnp.int32(call)))
-        together = asked.chunks([Asked(rows[i], call, i) for i in (2, 0)])
+        together = asked.chunks([Question(rows[i], call, i) for i in (2, 0)])
         for i, chunk in zip((2, 0), together, strict=True):
             assert chunk.tobytes() == rollouts[i].tobytes()
 
 
 def test_chance_is_shared_by_one_call_only_and_a_row_is_one_requests():
     asked, [row] = AskedPolicy(linear(noise=True), 0, WIDTH), observations(1)
-    requests = [Asked(row, *x) for x in [(0, 0), (1, 1), (0, 2), (0, 0), (0, 3)]]
+    requests = [Question(row, *x) for x in [(0, 0), (1, 1), (0, 2), (0, 0), (0, 3)]]
     assert asked.together(requests) == [0, 2, 4]
 
 
 def test_moments_get_an_axis_where_there_are_several():
     one = blank(SPEC)
-    assert stacked([one])["image"].shape == (SPEC.views, SPEC.height, SPEC.width, 3)
+    assert observation_of([one])["image"].shape == (SPEC.views, SPEC.height, SPEC.width, 3)
     several = blank(replace(SPEC, obs_steps=2), lens=True)
     assert several["image"].shape == (2, SPEC.views, SPEC.height, SPEC.width, 3)
     assert several["distortion"].shape == (2, SPEC.views, 9)

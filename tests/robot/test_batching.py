@@ -6,7 +6,7 @@ import threading
 import numpy as np
 import pytest
 
-from jaxcam.robot.asked import Asked
+from jaxcam.robot.asked import Question
 from jaxcam.robot.batching import Batcher
 
 
@@ -46,7 +46,7 @@ def ask(policy, asked, clients=8, before=lambda tasks: None):
 
 
 def calls(*numbers, row=0):
-    return [Asked({}, number, row) for number in numbers]
+    return [Question({}, number, row) for number in numbers]
 
 
 def test_what_arrives_together_is_computed_together():

@@ -9,13 +9,13 @@ from port_requests import NAMES, SPEC, camera, request
 from jaxcam.data.recorded.fitting import fit
 from jaxcam.errors import CameraError, JaxcamError, PortError
 from jaxcam.rays.lens import pack
-from jaxcam.robot.requests import Reader
+from jaxcam.robot.requests import RequestReader
 
 LENS = np.asarray(pack(np.array([-0.2, 0.05, 0, 0])), np.float32)
 
 
 def read(message, *, names=NAMES, spec=SPEC, **how):
-    return Reader(names, spec, **how).read(message)
+    return RequestReader(names, spec, **how).read(message)
 
 
 def test_a_request_is_fitted_as_in_training():
@@ -157,7 +157,7 @@ def test_what_was_learned_is_all_that_can_be_asked_for():
 
 def test_each_new_camera_is_checked_and_known_ones_are_not(monkeypatch):
     looked = []
-    real = Reader.__module__ + ".Camera"
+    real = RequestReader.__module__ + ".Camera"
     from jaxcam.robot import requests
 
     class Looking(requests.Camera):
@@ -166,7 +166,7 @@ def test_each_new_camera_is_checked_and_known_ones_are_not(monkeypatch):
             return super().validate(name)
 
     monkeypatch.setattr(real, Looking)
-    reader = Reader(NAMES, SPEC)
+    reader = RequestReader(NAMES, SPEC)
     K, pose = camera(32, 48, x=0.123)
     moved = {"camera__front__base_from_camera": pose, "camera__front__intrinsics": K}
     reader.read(request(**moved))

@@ -7,12 +7,12 @@ import pytest
 from port_requests import NAMES, SPEC, request
 
 from jaxcam.errors import PortError
-from jaxcam.robot.requests import Reader
+from jaxcam.robot.requests import RequestReader
 from jaxcam.robot.session import Session
 
 
 def session(steps=1, **how):
-    return Session(Reader(NAMES, replace(SPEC, obs_steps=steps), width=3), steps, **how)
+    return Session(RequestReader(NAMES, replace(SPEC, obs_steps=steps), width=3), steps, **how)
 
 
 def numbered(number, **changes):
