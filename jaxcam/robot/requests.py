@@ -225,7 +225,7 @@ class RequestReader:
             raise PortError(f"prompt: expected text, got {type(prompt).__name__}.")
         known = self._prompts
         if not known or (prompt is None and len(known) == 1):
-            return np.int32(0)
+            return np.array(0, np.int32)
         if prompt is None or prompt.strip() not in known:
             said = "none" if prompt is None else f"{prompt!r:.200}"
             expected = ", ".join(f"{name!r:.200}" for name in known[:MOST_NAMED])
@@ -234,7 +234,7 @@ class RequestReader:
                 f"prompt: expected {'one of ' if len(known) > 1 else ''}{expected}{more}, which is "
                 f"all that the policy has learned; got {said}."
             )
-        return np.int32(known.index(prompt.strip()))
+        return np.array(known.index(prompt.strip()), np.int32)
 
 
 _CAMERA = {"intrinsics": (3, 3), "base_from_camera": (4, 4), "distortion": (PACKED,)}
