@@ -11,13 +11,12 @@ from typing import Any, Literal, cast, get_args, get_origin
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.files.paths import read_text
+from jaxcam.results.protocol import NOT_RECORDED
 from jaxcam.results.rows import USUAL_WAY
 from jaxcam.runs.identity import Settings, changes
 
 NAMED = ("task", "scene", "policy", "conditioning")
 """Settings that every run has."""
-NOT_RECORDED = "not recorded"
-"""Such a setting where nobody wrote it down."""
 
 
 def _kinds(annotation: Any) -> set[type]:

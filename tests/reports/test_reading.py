@@ -7,7 +7,7 @@ from made_runs import arms_of, make_run
 from places import REPO
 
 from jaxcam.errors import ConfigError
-from jaxcam.reports.arms import read_runs
+from jaxcam.reports.reading import read_runs
 
 
 def test_a_whole_protocol_counts_and_anything_less_is_told(tmp_path):
