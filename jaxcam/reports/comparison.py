@@ -33,7 +33,7 @@ from jaxcam.reports.document import (
 from jaxcam.reports.html import own_files
 from jaxcam.reports.names import file_name
 from jaxcam.reports.packs.folder import check_replaces, write_results
-from jaxcam.reports.packs.manifest import About
+from jaxcam.reports.packs.manifest import PackLabel
 from jaxcam.reports.packs.pack import is_pack, write_pack
 from jaxcam.reports.packs.page import write_leaderboard
 from jaxcam.reports.reading import read_packs, read_runs
@@ -44,6 +44,7 @@ from jaxcam.reports.tables import (
     by_task,
     cells,
     context,
+    foreign_table,
     gains_table,
     is_of_table,
     runs_table,
@@ -129,6 +130,8 @@ def _main(arms: Sequence[Arm], out: Path) -> list[Block]:
     blocks: list[Block] = [Heading("With and without the camera pose"), table_one(arms)]
     if table := gains_table(arms):
         blocks += [Heading("Paired differences"), table]
+    if table := foreign_table(arms):
+        blocks += [Heading("Policies of others"), table]
     if twins := [some for some in twins_of(arms) if is_of_table(some[0])]:
         path = save(rates_and_gains(twins), out / "figures" / "gains.png")
         caption = (
@@ -230,7 +233,7 @@ def main(config: ReportConfig, console: Console) -> None:
         _check_out(out)
     runs = read_runs(config.runs, config.split)
     if config.pack:
-        about = About(config.pack_name or out.name, config.authors, config.link)
+        about = PackLabel(config.pack_name or out.name, config.authors, config.link)
         pack = write_pack(out, runs, config.split, about)
         written = f"Pack: {out} ({pack.manifest.digest[:8]})"
     else:

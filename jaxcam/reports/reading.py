@@ -44,7 +44,7 @@ def read_runs(paths: Iterable[str | Path], split: str = "test") -> list[Run]:
             for run in _read(folder, split):
                 key = run_key(run)
                 runs[key] = _merge(runs[key], run) if key in runs else run
-    check_pairs(runs.values())
+    _check_pairs(runs.values())
     return list(runs.values())
 
 
@@ -69,7 +69,7 @@ def read_packs(paths: Iterable[str | Path]) -> list[Pack]:
             )
         for pack in map(read_pack, folders):
             packs.setdefault(pack.manifest.digest, pack)
-    check_pairs(run for pack in packs.values() for run in _runs_of(pack))
+    _check_pairs(run for pack in packs.values() for run in _runs_of(pack))
     return list(packs.values())
 
 
@@ -164,15 +164,8 @@ def _merge(one: Run, other: Run) -> Run:
     return replace(one if one.folder else other, rows=list(known.values()))
 
 
-def check_pairs(runs: Iterable[Run]) -> None:
-    """Refuses runs that were evaluated on different pairs; older rows have no hash of theirs.
-
-    Args:
-        runs: All that are to be compared.
-
-    Raises:
-        ConfigError: A pair of one is not the pair of that number in another.
-    """
+def _check_pairs(runs: Iterable[Run]) -> None:
+    """Refuses runs that were evaluated on different pairs; older rows have no hash of theirs."""
     first: dict[tuple[Any, ...], tuple[str, Run]] = {}
     for run in runs:
         kind = kind_of_pairs(run.settings)

@@ -87,7 +87,7 @@ def check_replaces(folder: Path, runs: Sequence[Run], flag: str = "--out") -> No
     if lost:
         raise ConfigError(
             f"{folder} has rollouts of {len(lost)} runs that would be lost, such as {lost[0]}: "
-            f"they are not among those given. Give {folder} too, or choose another --out."
+            f"they are not among those given. Give {folder} too, or choose another {flag}."
         )
 
 

@@ -56,7 +56,7 @@ class FileOfPack:
 
 
 @dataclass(frozen=True)
-class About:
+class PackLabel:
     """What authors say of a pack; shown, and otherwise without a meaning."""
 
     name: str
@@ -79,7 +79,7 @@ class About:
 
 
 @dataclass(frozen=True)
-class Manifest(About):
+class PackManifest(PackLabel):
     """All that `pack.json` says, without its format and its seal.
 
     Attributes:
@@ -118,7 +118,7 @@ def file_of_pack(content: bytes) -> FileOfPack:
     return FileOfPack(len(content), hashlib.sha256(content).hexdigest())
 
 
-def read_manifest_of(folder: Path) -> Manifest:
+def read_manifest_of(folder: Path) -> PackManifest:
     """The manifest of a pack, whose files are then as they were packed.
 
     Args:
@@ -157,7 +157,7 @@ def read_manifest_of(folder: Path) -> Manifest:
 _ADVICE = "Get the pack again from where it is from, or make it anew: --pack."
 
 
-def _manifest(given: dict[str, Any]) -> Manifest:
+def _manifest(given: dict[str, Any]) -> PackManifest:
     parts: dict[str, Any] = {}
     if isinstance(given.get("pairs"), list):
         parts["pairs"] = [as_record(PairsOfPack, p, "pack's pairs") for p in given["pairs"]]
@@ -166,7 +166,7 @@ def _manifest(given: dict[str, Any]) -> Manifest:
         parts["files"] = {
             name: as_record(FileOfPack, record, "pack's file") for name, record in files.items()
         }
-    manifest = as_record(Manifest, given | parts, "pack")
+    manifest = as_record(PackManifest, given | parts, "pack")
     if manifest.files.keys() != {ROWS, RUNS}:
         names = ", ".join(map(repr, manifest.files))
         raise ConfigError(f"A pack has the files {ROWS} and {RUNS}, not {names:.200}.")

@@ -12,8 +12,8 @@ from jaxcam.reports.arms import Run, kind_of_pairs
 from jaxcam.reports.packs.folder import check_replaces, read_results, results_texts
 from jaxcam.reports.packs.manifest import (
     PACK,
-    About,
-    Manifest,
+    PackLabel,
+    PackManifest,
     PairsOfPack,
     file_of_pack,
     read_manifest_of,
@@ -34,7 +34,7 @@ class Pack:
     """
 
     folder: Path
-    manifest: Manifest
+    manifest: PackManifest
     runs: tuple[Run, ...]
 
     @property
@@ -52,7 +52,7 @@ def is_pack(folder: Path) -> bool:
     return (folder / PACK).exists() or (folder / PACK).is_symlink()
 
 
-def write_pack(folder: Path, runs: Sequence[Run], split: Split, about: About) -> Pack:
+def write_pack(folder: Path, runs: Sequence[Run], split: Split, about: PackLabel) -> Pack:
     """Write a pack, and read it as others will.
 
     Args:
@@ -80,7 +80,7 @@ def write_pack(folder: Path, runs: Sequence[Run], split: Split, about: About) ->
         )
     _check_place(folder, runs)
     texts = results_texts(runs)
-    manifest = Manifest(
+    manifest = PackManifest(
         **asdict(about),
         split=split,
         versions={k: v for k, v in package_versions().items() if k in _VERSIONS},
@@ -106,7 +106,11 @@ def read_pack(folder: Path) -> Pack:
     manifest = read_manifest_of(folder)
     runs = tuple(read_results(folder, None))
     splits = {row.split for run in runs for row in run.rows}
-    if splits != {manifest.split} or pairs_of(runs) != manifest.pairs:
+    try:
+        fits = splits == {manifest.split} and pairs_of(runs) == manifest.pairs
+    except ConfigError:
+        fits = False
+    if not fits:
         raise DatasetError(
             f"{folder}: the rows are not of the pairs that {PACK} lists, so nobody can say whether "
             "they can be compared. Make the pack anew: --pack."

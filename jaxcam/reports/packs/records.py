@@ -87,7 +87,9 @@ def _record(where: str, entry: Any) -> RunRecord:
     for name, fits, expected in checks:
         if not fits:
             raise DatasetError(f"{where}: {name} is {given.get(name)!r}, expected {expected}.")
-    settings = TrainConfig.completed(dict(cast("Mapping[str, Any]", given["settings"])))
+    settings = dict(cast("Mapping[str, Any]", given["settings"]))
+    if settings.get("preset") is not None:  # what was not trained here lacks nothing
+        settings = TrainConfig.completed(settings)
     settings |= {name: NOT_RECORDED for name in NAMED if name not in settings}
     for name, value in settings.items():
         if not _fits(name, value):
