@@ -8,6 +8,7 @@ from typing import Any
 
 from jaxcam.errors import ConfigError
 from jaxcam.files.paths import absolute
+from jaxcam.interrupts import check_stop
 from jaxcam.reports.arms import Run, kind_of_pairs
 from jaxcam.reports.packs.folder import read_results, run_key
 from jaxcam.reports.packs.pack import Pack, is_pack, read_pack
@@ -41,6 +42,7 @@ def read_runs(paths: Iterable[str | Path], split: str = "test") -> list[Run]:
                 "rows.jsonl."
             )
         for folder in folders:
+            check_stop()
             for run in _read(folder, split):
                 key = run_key(run)
                 runs[key] = _merge(runs[key], run) if key in runs else run
@@ -67,7 +69,9 @@ def read_packs(paths: Iterable[str | Path]) -> list[Pack]:
                 f"{loose[0]} is no pack, since it has no pack.json. A leaderboard is made of "
                 f"packs: python -m jaxcam.report {loose[0]} --pack FOLDER makes one."
             )
-        for pack in map(read_pack, folders):
+        for folder in folders:
+            check_stop()
+            pack = read_pack(folder)
             packs.setdefault(pack.manifest.digest, pack)
     _check_pairs(run for pack in packs.values() for run in _runs_of(pack))
     return list(packs.values())

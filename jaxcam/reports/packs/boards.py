@@ -6,7 +6,9 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from jaxcam.console.words import plain_line
 from jaxcam.errors import ConfigError
+from jaxcam.interrupts import check_stop
 from jaxcam.reports import paper
 from jaxcam.reports.arms import Arm, group, kind_of_pairs, usual_views
 from jaxcam.reports.packs.directions import DirectionMap, direction_maps
@@ -50,6 +52,7 @@ class Line:
         rollouts: How many, and how many are asked for where that is more.
         map: Success by direction; None where no angles are known.
         against: The difference to each line of the board, by its number.
+        entry: What it is called whatever the task.
     """
 
     policy: str
@@ -60,6 +63,7 @@ class Line:
     rollouts: str
     map: DirectionMap | None
     against: tuple[Against, ...]
+    entry: tuple[str, str, str, str]
 
     @property
     def name(self) -> str:
@@ -75,6 +79,19 @@ class Line:
     def differences(self) -> str:
         """All of `against` as JSON, for the page's script."""
         return json.dumps([[a.points, a.basis, a.value, a.verdict] for a in self.against])
+
+
+@dataclass(frozen=True)
+class OverTasks:
+    """A policy that was evaluated on several boards.
+
+    Attributes:
+        entry: Its name, what it is told of the camera, its other settings, and its pack.
+        lines: Its line of each board; None where it has none, or several.
+    """
+
+    entry: tuple[str, str, str, str]
+    lines: tuple[Line | None, ...]
 
 
 @dataclass(frozen=True)
@@ -115,6 +132,21 @@ def boards_of(packs: Sequence[Pack], split: str) -> list[Board]:
     return [_board(*kind, kinds[kind]) for kind in order]
 
 
+def over_tasks(boards: Sequence[Board]) -> list[OverTasks]:
+    """The policies that stand on several boards, in order of first appearance.
+
+    Args:
+        boards: From `boards_of`.
+    """
+    columns = []
+    for board in boards:
+        count = Counter(line.entry for line in board.lines)
+        columns.append({line.entry: line for line in board.lines if count[line.entry] == 1})
+    entries = dict.fromkeys(entry for column in columns for entry in column)
+    rows = [OverTasks(e, tuple(column.get(e) for column in columns)) for e in entries]
+    return [row for row in rows if len(row.lines) - row.lines.count(None) > 1]
+
+
 def pack_names(packs: Sequence[Pack]) -> list[str]:
     """The packs' names; those that several have with the start of their digests.
 
@@ -134,19 +166,25 @@ def _board(task: str, scene: str, views: int | None, arms: Sequence[tuple[Arm, s
         )
     arms = sorted(arms, key=lambda a: (-(a[0].estimate.value if a[0].estimate.n else -1), a[1]))
     maps = direction_maps([arm.rows for arm, _ in arms])
-    lines = [
-        Line(
-            policy=paper.policy_title(arm.settings["policy"], short=False),
-            pose=pose_words(arm),
-            details=arm.label(),
-            pack=name,
-            estimate=arm.estimate,
-            rollouts=arm.count(),
-            map=maps[i],
-            against=tuple(_against(arms, i, k) for k in range(len(arms))),
+    lines = list[Line]()
+    for i, (arm, name) in enumerate(arms):
+        check_stop()
+        # Letters that turn a line round, or hide, would make one entry look like another.
+        title = plain_line(paper.policy_title(arm.settings["policy"], short=False))
+        pose = plain_line(pose_words(arm))
+        lines.append(
+            Line(
+                policy=title,
+                pose=pose,
+                details=plain_line(arm.label()),
+                pack=name,
+                estimate=arm.estimate,
+                rollouts=arm.count(),
+                map=maps[i],
+                against=tuple(_against(arms, i, k) for k in range(len(arms))),
+                entry=(title, pose, plain_line(arm.label("engine")), name),  # a task brings its own
+            )
         )
-        for i, (arm, name) in enumerate(arms)
-    ]
     cameras = [] if views == usual_views(task) else [f"{views} cameras"]
     title = ", ".join([paper.task_title(task), f"{scene} scene", *cameras])
     return Board(paper.task_title(task), title, tuple(lines))

@@ -14,7 +14,7 @@ from markupsafe import Markup
 from jaxcam.files.paths import read_text
 from jaxcam.files.whole import check_free, write_atomically
 from jaxcam.reports.html import render
-from jaxcam.reports.packs.boards import boards_of, pack_names
+from jaxcam.reports.packs.boards import boards_of, over_tasks, pack_names
 from jaxcam.reports.packs.pack import Pack
 
 _SCRIPT = Path(__file__).parents[1] / "templates" / "leaderboard.js"
@@ -48,6 +48,7 @@ def write_leaderboard(page: Path, packs: Sequence[Pack], split: str = "test") ->
         "Leaderboard",
         subtitle,
         boards=boards,
+        over=over_tasks(boards),
         tasks=list(dict.fromkeys(board.task for board in boards)),
         packs=list(zip(pack_names(packs), packs, strict=True)),
         script=Markup(script),

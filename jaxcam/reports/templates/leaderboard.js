@@ -33,10 +33,10 @@ function refer(board, number) {
   board.querySelector("[data-column=difference]").closest("th").setAttribute("aria-sort", "none");
 }
 
+for (const button of document.querySelectorAll("button[data-column]"))
+  button.addEventListener("click", () => sort(button.closest("section"), button));
 const boards = [...document.querySelectorAll(".board")];
 for (const board of boards) {
-  for (const button of board.querySelectorAll("button[data-column]"))
-    button.addEventListener("click", () => sort(board, button));
   const reference = board.querySelector("select");
   reference.addEventListener("change", () => refer(board, Number(reference.value)));
 }

@@ -9,7 +9,7 @@ from packs import foreign, ours, pack_of
 from jaxcam.errors import ConfigError
 from jaxcam.reports.arms import group
 from jaxcam.reports.packs import boards
-from jaxcam.reports.packs.boards import boards_of, pack_names, pose_words
+from jaxcam.reports.packs.boards import boards_of, over_tasks, pack_names, pose_words
 
 
 @pytest.fixture
@@ -71,6 +71,23 @@ def test_other_numbers_of_cameras_are_another_board(tmp_path):
     packs = [pack_of(tmp_path / "a", [foreign("A"), foreign("A", views=2)])]
     titles = [board.title for board in boards_of(packs, "test")]
     assert titles == ["Lift, randomized scene", "Lift, randomized scene, 2 cameras"]
+
+
+def test_policies_on_several_boards_stand_side_by_side(tmp_path):
+    theirs = [foreign("Pi"), foreign("Pi", task="push", engine="sapien", rate=1.0)]
+    theirs += [foreign("A"), foreign("A", task="push", note="another")]
+    theirs += [foreign("B"), foreign("B", task="push"), foreign("B", task="push", engine="x")]
+    boards = boards_of([pack_of(tmp_path / "a", theirs)], "test")
+    (row,) = over_tasks(boards)  # A has other settings on the other task, and B has two of them
+    assert row.entry == ("Pi", "told the camera", "settings of its own", "a")
+    assert [line.estimate.value for line in row.lines] == [0.5, 1.0]
+
+
+def test_letters_that_turn_a_line_round_are_written_out(tmp_path):
+    pack = pack_of(tmp_path / "a", [foreign("A\u202eTCA", way="\u200b", note="\u2066")])
+    (line,) = boards_of([pack], "test")[0].lines
+    assert line.name.isprintable()
+    assert line.policy == r"A\u202eTCA"
 
 
 def test_packs_of_one_name_are_told_apart_by_their_digests(tmp_path):

@@ -33,7 +33,7 @@ def test_the_command_writes_a_page_over_packs(packs, tmp_path, capsys):
         assert exit_code("report", tmp_path / "packs", "--leaderboard", page) == 0
     assert "(4 settings of 2 packs)" in "".join(capsys.readouterr().out.splitlines())
     read = Page(page)
-    assert read.attributes("section", "data-task") == ["Lift", "Push"]
+    assert read.attributes("section", "data-task") == [None, "Lift", "Push"]
     assert [v for v in read.attributes("tr", "data-success") if v] == [
         "75.0",
         "50.0",
@@ -44,12 +44,10 @@ def test_the_command_writes_a_page_over_packs(packs, tmp_path, capsys):
     texts = [v for v in read.attributes("tr", "data-differences") if v]
     assert [len(json.loads(text)) for text in texts] == [3, 3, 3, 1]
     assert read.attributes("option", "value") == ["", None, None, "0", "1", "2", "0"]
-    assert set(read.attributes("button", "data-column")) == {
-        "name",
-        "success",
-        "difference",
-        "rollouts",
-    }
+    own = ["name", "success", "difference", "rollouts"]
+    assert read.attributes("button", "data-column") == ["name", "board0", "board1", *own, *own]
+    assert [(v, w) for v, w in zip(*(read.attributes("tr", f"data-board{i}") for i in (0, 1)),
+                                   strict=True) if v] == [("50.0", "50.0")]  # fmt: skip
     assert "Lift, randomized scene" in read.text
     assert "azimuth -90° to -60°" in read.text
 
@@ -90,7 +88,7 @@ CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
 )
 CLICKS = """<script>
-const [first] = document.querySelectorAll("section");
+const [first] = document.querySelectorAll(".board");
 const lines = () => [...first.querySelectorAll("tbody tr")].map((tr) =>
   [tr.dataset.success, tr.dataset.difference, tr.querySelector(".against b").innerText].join("|"));
 const log = [lines()];
@@ -104,7 +102,7 @@ log.push(lines());
 click("difference"); click("difference");
 log.push(lines());
 choose(document.querySelector("#task"), "Push");
-log.push([...document.querySelectorAll("section")].map((s) => s.hidden));
+log.push([...document.querySelectorAll(".board")].map((s) => s.hidden));
 log.push(compare("", "1", true) > 0, compare("", "1", false) > 0, compare("10", "9", false) > 0,
   compare("b", "a", false) > 0);
 document.body.innerHTML = "";
