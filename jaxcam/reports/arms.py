@@ -16,7 +16,7 @@ from jaxcam.results.differences import PairedDifference, paired_difference
 from jaxcam.results.protocol import Protocol, counted, is_foreign, lacks, protocol_of
 from jaxcam.results.rows import USUAL_WAY, Row
 from jaxcam.results.stats import Estimate, success_rate
-from jaxcam.runs.identity import Settings, changes, plain
+from jaxcam.runs.identity import USUAL_SPACE, Settings, changes, plain
 from jaxcam.sim import make_task
 
 _SAID = (*NAMED, "preset")
@@ -101,7 +101,8 @@ class Arm:
         """
         if self.settings.get("preset") is not None:
             return changes(self.settings)
-        usual = USUAL_WAY | {"views": usual_views(self.settings["task"])}
+        views = usual_views(self.settings["task"])
+        usual = USUAL_WAY | {"views": views, "action_space": USUAL_SPACE}
         return {
             k: v for k, v in self.settings.items()
             if k not in _SAID and v not in (None, "", [], usual.get(k))

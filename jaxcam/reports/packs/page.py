@@ -9,8 +9,6 @@ import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
-from markupsafe import Markup
-
 from jaxcam.files.paths import read_text
 from jaxcam.files.whole import check_free, write_atomically
 from jaxcam.reports.html import render
@@ -51,7 +49,7 @@ def write_leaderboard(page: Path, packs: Sequence[Pack], split: str = "test") ->
         over=over_tasks(boards),
         tasks=list(dict.fromkeys(board.task for board in boards)),
         packs=list(zip(pack_names(packs), packs, strict=True)),
-        script=Markup(script),
+        script=script,
         digest=digest,
     )
     write_atomically(page, text)
