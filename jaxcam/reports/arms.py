@@ -22,12 +22,13 @@ from jaxcam.results.differences import PairedDifference, paired_difference
 from jaxcam.results.protocol import Protocol, counted, lacks, protocol_of
 from jaxcam.results.rows import USUAL_WAY, Row
 from jaxcam.results.stats import Estimate, latest_rows, success_rate
+from jaxcam.runs.foreign import has_foreign, read_foreign
 from jaxcam.runs.identity import Settings, changes, identity, plain, read_config
 from jaxcam.runs.manifests import record_of_weights, sides
 from jaxcam.runs.metrics import read_metrics
 from jaxcam.runs.rollouts import of_one_run, read_rows, read_run_rows
 
-_KEPT = ("step", "split", "pair", "pair_sha", "weights_sha", "success", "status", "steps",
+_KEPT = ("step", "split", "pair", "pair_sha", "weights_sha", "success", "status", "cause", "steps",
          "azimuth_deg", "elevation_deg", "distance", "renderer", "width")  # fmt: skip
 
 
@@ -196,7 +197,7 @@ def check_replaces(folder: Path, runs: Sequence[Run]) -> None:
     Raises:
         ConfigError: It is a run's folder, or has rows that are not among these runs'.
     """
-    if (folder / "config.json").exists():
+    if (folder / "config.json").exists() or has_foreign(folder):
         raise ConfigError(f"{folder} is the folder of a run. Choose another --out.")
     if not (folder / "rows.jsonl").exists():
         return
@@ -254,7 +255,7 @@ def _find(path: Path, known: set[Path]) -> Iterator[Path]:
     if not path.is_dir() or (real := path.resolve()) in known:
         return
     known.add(real)
-    is_run = (path / "config.json").is_file()
+    is_run = (path / "config.json").is_file() or has_foreign(path)
     if is_run or (path / "rows.jsonl").is_file():
         yield path
     for child in [] if is_run else sorted(path.iterdir()):
@@ -264,6 +265,8 @@ def _find(path: Path, known: set[Path]) -> Iterator[Path]:
 def _read(folder: Path, split: str) -> list[Run]:
     if (folder / "config.json").is_file():
         return [_read_run(folder, split)]
+    if has_foreign(folder):
+        return [_read_foreign_run(folder, split)]
     if (folder / "runs.json").is_file():
         return read_results(folder, split)
     return _read_rows(folder, split)
@@ -279,6 +282,12 @@ def _read_run(folder: Path, split: str) -> Run:
         settings["dataset"] = _content_of_data(folder, config.dataset)
     seconds = training_seconds(read_metrics(folder))
     return Run(folder.name, folder, settings, config.seed, rows, seconds)
+
+
+def _read_foreign_run(folder: Path, split: str) -> Run:
+    """Somebody else's policy: one arm with one run, of which no seed is known."""
+    rows = [row for row in latest_rows(read_run_rows(folder)) if row.split == split]
+    return Run(folder.name, folder, read_foreign(folder).settings | _ways(rows), None, rows)
 
 
 def read_results(folder: Path, split: str) -> list[Run]:

@@ -21,7 +21,7 @@ from jaxcam.data.samples import Layout
 from jaxcam.devices import check_same, copied, data_mesh, is_first, joined, shard
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.evaluation.checkpoint import Wanted, evaluate
-from jaxcam.evaluation.evaluator import Acting, Candidate
+from jaxcam.evaluation.evaluator import Acting, Checkpoint
 from jaxcam.interrupts import Interrupt
 from jaxcam.models import Policy, PolicySpec
 from jaxcam.results.rows import Row
@@ -154,7 +154,7 @@ def scenes(folder):
     state = fit(settings(mine / "stopped"), stop=stop, write=is_first())[0]
     record["stopped"] = int(state.step)
     evaluator = PairsEvaluator()
-    candidate = Candidate(None, None, mine, 7)  # pyright: ignore
+    candidate = Checkpoint(None, None, mine, 7)  # pyright: ignore
     estimate = evaluate(evaluator, candidate, Wanted(pairs=7))  # pyright: ignore
     record["ran"], record["estimate"] = evaluator.ran, [estimate.value, estimate.n]
     try:
@@ -172,11 +172,11 @@ def act_on_all_devices():
            "proprio": rng.normal(size=(8, SPEC.proprio_dim)).astype(np.float32)}  # fmt: skip
     params, root = tiny.init(jax.random.key(1)), jax.random.key(0)
     mesh = data_mesh(8, everywhere=False)
-    chunks = Acting(tiny.act, mesh)(copied(mesh, params), root, obs, jnp.int32(0))
+    chunks = Acting(tiny.act, mesh)(copied(mesh, params), root, obs, jnp.int32(0), None)
     assert len(chunks.sharding.device_set) == 4
     assert chunks.addressable_shards[0].data.shape[0] == 2
     np.testing.assert_allclose(
-        chunks, Acting(tiny.act)(params, root, obs, jnp.int32(0)), rtol=1e-5, atol=1e-5
+        chunks, Acting(tiny.act)(params, root, obs, jnp.int32(0), None), rtol=1e-5, atol=1e-5
     )
 
 
