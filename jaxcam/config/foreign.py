@@ -49,7 +49,9 @@ class ForeignConfig:
     """Steps of a chunk that are executed before it is asked again."""
     timeout: float = 30.0
     """Seconds to wait for a server's answer; a later one is a failure of that rollout."""
-    at_once: Annotated[int | None, tyro.conf.arg(metavar="INT"), default("1; all of ours")] = None
+    at_once: Annotated[
+        int | None, tyro.conf.arg(metavar="INT"), default("1, or the width that it says")
+    ] = None
     """Questions that are sent to a server at once."""
     key: Annotated[str, default("none")] = ""
     """What the server asks for."""

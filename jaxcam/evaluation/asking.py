@@ -66,7 +66,9 @@ class Asking:
             PortError: The policy refuses the first observation of each episode.
         """
         asked = np.flatnonzero(active).tolist()
-        questions = [sent(self.names, observation_of(obs, i, self.prompt)) for i in asked]
+        questions = [
+            sent(self.names, observation_of(obs, int(call), i, self.prompt)) for i in asked
+        ]
         answers = self._answers(asked, questions)
         self._check_not_all_refused(call, answers)
         chunks = dict(zip(asked, map(self._chunk, answers), strict=True))

@@ -93,7 +93,7 @@ class Setting(Protocol):
         ...
 
 
-class Candidate(Protocol):
+class Evaluated(Protocol):
     """Who is evaluated: the policy of a checkpoint, or a foreign one."""
 
     @property
@@ -117,8 +117,8 @@ class Candidate(Protocol):
 
 
 @dataclass(frozen=True)
-class Checkpoint:
-    """A candidate that is a checkpoint's policy.
+class Candidate:
+    """A checkpoint whose policy is evaluated.
 
     Attributes:
         policy: The policy.
@@ -193,7 +193,7 @@ class Evaluator:
 
     def run(
         self,
-        candidate: Candidate,
+        candidate: Evaluated,
         split: str,
         pairs: Sequence[int],
         tick: Callable[[], None] = lambda: None,
@@ -225,7 +225,7 @@ class Evaluator:
 
     def _rows(
         self,
-        candidate: Candidate,
+        candidate: Evaluated,
         split: str,
         pairs: Sequence[int],
         chosen: Pairs,

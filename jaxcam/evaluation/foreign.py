@@ -4,48 +4,36 @@ It is evaluated as a checkpoint is, by the same evaluator; only who is asked dif
 """
 
 import contextlib
-import dataclasses
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, get_args
 
 from rich.console import Console
 
 from jaxcam.config.commands import EvaluateConfig
-from jaxcam.config.fields import as_record
 from jaxcam.config.foreign import ForeignConfig, ObsMap
-from jaxcam.config.names import ActionSpace, PolicyName, Rotations, TaskName
-from jaxcam.config.sizes import rows_and_columns, size_name
+from jaxcam.config.sizes import rows_and_columns
 from jaxcam.errors import ConfigError
 from jaxcam.evaluation.asking import Asking
 from jaxcam.evaluation.checkpoint import Wanted, evaluate
 from jaxcam.evaluation.evaluator import Evaluator
-from jaxcam.evaluation.mapping import Names, names_of_map, read_map, renamed, view_names, write_map
+from jaxcam.evaluation.mapping import Names, read_map, write_map
 from jaxcam.evaluation.sources import Function, Server, Source
 from jaxcam.files.paths import absolute, home, read_text
-from jaxcam.reports.names import file_name
 from jaxcam.reports.run_figures import write_plots
 from jaxcam.reports.run_page import write_report
 from jaxcam.results.stats import causes, latest_rows, success_rate
 from jaxcam.runs.environment import record_environment
 from jaxcam.runs.foreign import ForeignRecord, adopt
-from jaxcam.runs.identity import USUAL_SPACE
 from jaxcam.runs.rollouts import read_run_rows
 from jaxcam.sim import engine_name, make_task, simulator_of
 from jaxcam.sim.actions import action_dim
 from jaxcam.sim.rollout import Agent
-from jaxcam.sim.world import PROPRIO_DIM
-
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]{0,79}")
-_SIDE: Final = 84
-"""Pixels of pictures of which nobody says how large they are to be."""
 
 
 @dataclass(frozen=True)
 class Foreign:
-    """A candidate that is somebody else's policy.
+    """Somebody else's policy, which is evaluated.
 
     Attributes:
         record: Who it is, and how it is asked.
@@ -98,7 +86,8 @@ def evaluate_foreign(config: EvaluateConfig, console: Console | None) -> Path:
     flags = config.foreign
     wanted = read_map(flags.obs) if flags.obs else ObsMap()
     source = source_of(flags, config.width)
-    record, names = record_of(flags, wanted, source)
+    record = record_of(flags, wanted, source)
+    names = names_of(record, config.width)
     engine = _engine(config.engine, record)
     make_task(record.task).require()
     folder = absolute(flags.run_dir or f"runs/foreign-{record.task}-{record.scene}-{record.name}")
@@ -147,122 +136,6 @@ def _key(flags: ForeignConfig) -> str:
         raise ConfigError(f"--key-file {flags.key_file} cannot be read: {error}.") from error
 
 
-def record_of(flags: ForeignConfig, wanted: ObsMap, source: Source) -> tuple[ForeignRecord, Names]:
-    """What is asked of a policy, and how: flags come first, then the map, then what it says itself.
-
-    Args:
-        flags: The settings.
-        wanted: The map.
-        source: The policy.
-
-    Returns:
-        The record, and what it is sent.
-
-    Raises:
-        ConfigError: A value of these cannot be.
-    """
-    said = Said.of(source.metadata)
-    task = flags.task or said.task or "lift"
-    views = flags.views or len(said.views or ()) or make_task(task).views
-    resolution = flags.resolution or wanted.resolution or said.resolution or _SIDE
-    space = flags.action_space or wanted.action_space or said.action_space or USUAL_SPACE
-    record = ForeignRecord(
-        name=_name(flags, source),
-        address=source.address,
-        task=task,
-        scene=flags.scene,
-        conditioning=said.conditioning or "none",
-        views=views,
-        resolution=size_name(*rows_and_columns(resolution)),
-        action_space=space,
-        rotations=(said.rotations or "nominal") if space == "eef_abs" else "nominal",
-        execute=flags.execute or wanted.execute or said.execute,
-        observation_steps=wanted.observation_steps or said.observation_steps or 1,
-        keys=wanted.keys,
-        answer=wanted.answer,
-        prompt=wanted.prompt or make_task(task).prompt,
-        metadata=source.metadata,
-        weights_sha=source.sha,
-    )
-    if wanted.keys is not None:
-        return record, names_of_map(wanted.keys, views, PROPRIO_DIM)
-    theirs = list(said.views or ()) if len(said.views or ()) == views else view_names(views)
-    return record, renamed(theirs)
-
-
-@dataclass(frozen=True)
-class Said:
-    """What a policy says of itself that we use, if it is of a form that we know."""
-
-    run: str | None = None
-    task: TaskName | None = None
-    conditioning: str | None = None
-    views: tuple[str, ...] | None = None
-    resolution: int | str | None = None
-    action_space: ActionSpace | None = None
-    rotations: Rotations | None = None
-    execute: int | None = None
-    observation_steps: int | None = None
-
-    @classmethod
-    def of(cls, metadata: Mapping[str, Any]) -> "Said":
-        """What is in the metadata of a server or of a function; others say anything, or nothing."""
-        return cls(
-            run=_said(metadata.get("run"), str),
-            task=_named(metadata.get("task"), TaskName),
-            conditioning=_said(metadata.get("conditioning"), str),
-            views=_texts(metadata.get("views")),
-            resolution=_size(metadata.get("image_size")),
-            action_space=_named(metadata.get("action_space"), ActionSpace),
-            rotations=_named(metadata.get("rotations"), Rotations),
-            execute=_count(metadata.get("execute")),
-            observation_steps=_count(metadata.get("observation_steps")),
-        )
-
-
-def _said(value: Any, kind: type) -> Any:
-    return value if isinstance(value, kind) and value else None
-
-
-def _named(value: Any, names: Any) -> Any:
-    return value if isinstance(value, str) and value in get_args(names) else None
-
-
-def _count(value: Any) -> int | None:
-    is_count = isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= 1000
-    return value if is_count else None
-
-
-def _texts(value: Any) -> tuple[str, ...] | None:
-    if not isinstance(value, list):
-        return None
-    texts = tuple(value)
-    return texts if texts and all(isinstance(text, str) for text in texts) else None
-
-
-def _size(value: Any) -> int | str | None:
-    if not (isinstance(value, list) and len(value) == 2 and all(map(_count, value))):
-        return None
-    return size_name(*value)
-
-
-def _name(flags: ForeignConfig, source: Source) -> str:
-    """What the policy is called; a name that it has by itself is made one of a file."""
-    ours = get_args(PolicyName)
-    if not flags.name:
-        given = Said.of(source.metadata).run or re.sub(r"^wss?://|[/:]+", " ", flags.policy).strip()
-        safe = file_name(given.replace(" ", "-"))[:80]
-        return f"foreign-{safe}" if safe in ours or not _NAME.fullmatch(safe) else safe
-    if not _NAME.fullmatch(flags.name):
-        raise ConfigError(
-            f"--name {flags.name!r:.100}: expected at most 80 letters, digits and _ . + -, since "
-            "it is part of a folder's name."
-        )
-    if flags.name in ours:
-        raise ConfigError(f"--name {flags.name} is the name of a policy of ours. Choose another.")
-    return flags.name
-
-
 def _engine(asked: str, record: ForeignRecord) -> str:
     """What simulates: of engines that ask a policy from within a program, none."""
     task = make_task(record.task)
@@ -270,12 +143,6 @@ def _engine(asked: str, record: ForeignRecord) -> str:
         return engine_name(asked, task)
     chosen = engine_name("auto", task)
     return next(iter(simulator_of(task).engines)) if chosen.startswith("mjx") else chosen
-
-
-def map_of(record: ForeignRecord) -> ObsMap:
-    """The map that asks for what was sent, whoever said it."""
-    known = {f.name for f in dataclasses.fields(ObsMap)}
-    return as_record(ObsMap, {k: v for k, v in vars(record).items() if k in known}, "map")
 
 
 def _told(record: ForeignRecord, names: Names) -> str:

@@ -19,6 +19,9 @@ from jaxcam.errors import ConfigError, closest
 from jaxcam.files.paths import home, read_text
 
 STATE, PROMPT = "observation.state", "prompt"
+CHANCE = ("call", "row")
+"""Number of the question in its episode, and of the episode in its batch: what chance depends on,
+where a policy draws it as ours do."""
 _PART = re.compile(r"([^\[\]]+)(?:\[(\d{1,6}):(\d{1,6})\])?")
 
 
@@ -100,7 +103,7 @@ def names_of_map(keys: Mapping[str, Any], views: int, state: int) -> Names:
     Raises:
         ConfigError: An entry is of something that we have not; with the closest name.
     """
-    known = our_names(view_names(views))
+    known = [*our_names(view_names(views)), *CHANCE]
     return {
         theirs: tuple(_part(theirs, one, known, state) for one in _several(theirs, ours))
         for theirs, ours in keys.items()
@@ -137,22 +140,27 @@ def _part(theirs: str, text: str, known: Sequence[str], state: int) -> Part:
     return Part(name, span)
 
 
-def renamed(views: Sequence[str]) -> Names:
+def renamed(views: Sequence[str], *more: str) -> Names:
     """All that is ours, under its own names, but for those of the views.
 
     Args:
         views: What they are called instead, in order.
+        *more: What else is sent, of `CHANCE`.
     """
-    theirs, ours = our_names(views), our_names(view_names(len(views)))
+    theirs = [*our_names(views), *more]
+    ours = [*our_names(view_names(len(views))), *more]
     return {there: (Part(here),) for there, here in zip(theirs, ours, strict=True)}
 
 
-def observation_of(obs: Mapping[str, np.ndarray], episode: int, prompt: str) -> dict[str, Any]:
+def observation_of(
+    obs: Mapping[str, np.ndarray], call: int, episode: int, prompt: str
+) -> dict[str, Any]:
     """Our observation of one episode, under our names; arrays that nobody else has.
 
     Args:
         obs: Of a batch, as `jaxcam.sim.rollout` hands it out, with [B, V, ...] or, for policies
             that see several observations, [B, S, V, ...].
+        call: Number of the question in its episode.
         episode: Its number in the batch.
         prompt: What the policy is told to do.
     """
@@ -161,6 +169,7 @@ def observation_of(obs: Mapping[str, np.ndarray], episode: int, prompt: str) -> 
     if state.ndim > 1:  # cameras stand still: what holds now, holds for all
         image, K, pose = image.swapaxes(0, 1), K[-1], pose[-1]
     ours: dict[str, Any] = {STATE: np.array(state, np.float32), PROMPT: prompt}
+    ours |= zip(CHANCE, (call, episode), strict=True)
     for v, name in enumerate(view_names(len(K))):
         ours[f"observation.images.{name}"] = np.array(image[v])
         ours[f"camera.{name}.intrinsics"] = np.array(K[v], np.float32)

@@ -15,7 +15,7 @@ from jaxcam.config.train import TrainConfig
 from jaxcam.devices import gathered, is_first, joined
 from jaxcam.errors import CheckpointError, ConfigError, JaxcamError
 from jaxcam.evaluation.checkpoint import Wanted, evaluate, rows_of
-from jaxcam.evaluation.evaluator import Checkpoint, Evaluator
+from jaxcam.evaluation.evaluator import Candidate, Evaluator
 from jaxcam.evaluation.foreign import evaluate_foreign
 from jaxcam.files.paths import absolute
 from jaxcam.reports.run_figures import write_plots
@@ -61,7 +61,7 @@ def evaluate_run(config: EvaluateConfig, folder: Path, console: Console | None) 
             lacking.append(str(error))
             continue
         videos = config.videos if step == steps[0] else 0
-        candidate = Checkpoint(policy, inputs.params, folder, step)
+        candidate = Candidate(policy, inputs.params, folder, step)
         evaluate(evaluator, candidate, replace(wanted, videos=videos), console)
     if is_first():
         _conclude(config, folder, steps, console)

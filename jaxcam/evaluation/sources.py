@@ -79,8 +79,8 @@ class Server:
         address: Such as "ws://localhost:8000".
         key: What the server asks for; none if empty.
         timeout: Seconds to wait for an answer.
-        at_once: Questions that are sent at once; None is one, and any number to our own servers,
-            which answer those that arrive together in one go.
+        at_once: Questions that are sent at once; 0 is one, and to servers of ours as many as they
+            answer in one go.
 
     Raises:
         NoServerError: There is no such server.
@@ -96,8 +96,9 @@ class Server:
         self.metadata = plain(dict(client.metadata))
         client.close()
         self.sha = digest(self.metadata)
+        together = self.metadata.get("width")
         if not self.at_once:
-            self.at_once = 64 if self.metadata.get("server") == "jaxcam" else 1
+            self.at_once = together if isinstance(together, int) and 1 <= together <= 1000 else 1
 
     def talk(self, answer: str) -> Talk:
         """A connection for one episode.

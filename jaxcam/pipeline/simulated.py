@@ -16,7 +16,7 @@ from jaxcam.data.splits import NO_VALIDATION
 from jaxcam.devices import own
 from jaxcam.errors import ConfigError
 from jaxcam.evaluation.checkpoint import Wanted, evaluate
-from jaxcam.evaluation.evaluator import Checkpoint, Evaluator
+from jaxcam.evaluation.evaluator import Candidate, Evaluator
 from jaxcam.files.paths import absolute
 from jaxcam.models import Policy, policy_settings
 from jaxcam.reports.camera_figures import ray_picture
@@ -115,7 +115,7 @@ class Simulated:
         del dataset  # new pairs are simulated
         evaluator = Evaluator(config)
         step = int(state.step)
-        candidate = Checkpoint(policy, own(state.eval_params), absolute(config.run_dir), step)
+        candidate = Candidate(policy, own(state.eval_params), absolute(config.run_dir), step)
         wanted = Wanted(pairs=config.pairs, videos=config.videos)
         estimate = evaluate(evaluator, candidate, wanted, console)
         if run is None:

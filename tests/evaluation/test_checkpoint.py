@@ -11,7 +11,7 @@ from tiny_training import PairsEvaluator
 
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.evaluation.checkpoint import Wanted, evaluate
-from jaxcam.evaluation.evaluator import Checkpoint
+from jaxcam.evaluation.evaluator import Candidate
 from jaxcam.files.jsonl import append_jsonl, read_jsonl
 from jaxcam.results.protocol import ATTEMPTS
 from jaxcam.runs.rollouts import read_rows, rows_file
@@ -25,7 +25,7 @@ class FlakyEvaluator(PairsEvaluator):
 
 
 def candidate(folder):
-    return Checkpoint(None, None, folder, 7)  # pyright: ignore
+    return Candidate(None, None, folder, 7)  # pyright: ignore
 
 
 def test_errors_are_run_once_more_and_then_told(tmp_path):

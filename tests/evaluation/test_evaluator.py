@@ -9,7 +9,7 @@ import pytest
 
 from jaxcam.config.train import TrainConfig
 from jaxcam.data.pairs import make_pairs
-from jaxcam.evaluation.evaluator import VIDEO_PIXELS, Checkpoint, Evaluator
+from jaxcam.evaluation.evaluator import VIDEO_PIXELS, Candidate, Evaluator
 from jaxcam.models import Policy, PolicySpec
 from jaxcam.results.rows import Row
 from jaxcam.results.stats import success_rate
@@ -37,7 +37,7 @@ def candidate(tmp_path):
         return jnp.zeros((len(obs["image"]), CHUNK, 7)) + params["move"]
 
     policy = Policy(lambda key: {}, lambda *_: (jnp.zeros(()), {}), act, None, spec, CHUNK)
-    return Checkpoint(policy, {"move": jnp.float32(0.0)}, tmp_path / "a run", 40)
+    return Candidate(policy, {"move": jnp.float32(0.0)}, tmp_path / "a run", 40)
 
 
 def test_a_row_says_what_was_run(evaluator, candidate):

@@ -21,7 +21,7 @@ from jaxcam.data.samples import Layout
 from jaxcam.devices import check_same, copied, data_mesh, is_first, joined, shard
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.evaluation.checkpoint import Wanted, evaluate
-from jaxcam.evaluation.evaluator import Acting, Checkpoint
+from jaxcam.evaluation.evaluator import Acting, Candidate
 from jaxcam.interrupts import Interrupt
 from jaxcam.models import Policy, PolicySpec
 from jaxcam.results.rows import Row
@@ -154,7 +154,7 @@ def scenes(folder):
     state = fit(settings(mine / "stopped"), stop=stop, write=is_first())[0]
     record["stopped"] = int(state.step)
     evaluator = PairsEvaluator()
-    candidate = Checkpoint(None, None, mine, 7)  # pyright: ignore
+    candidate = Candidate(None, None, mine, 7)  # pyright: ignore
     estimate = evaluate(evaluator, candidate, Wanted(pairs=7))  # pyright: ignore
     record["ran"], record["estimate"] = evaluator.ran, [estimate.value, estimate.n]
     try:
