@@ -59,9 +59,7 @@ class EvaluateConfig:
     distributed: bool = False
     """Be one of several processes that share the rollouts; they find each other as those of
     `jaxcam.train --distributed` do."""
-    foreign: tyro.conf.OmitArgPrefixes[ForeignConfig] = dataclasses.field(
-        default_factory=ForeignConfig
-    )
+    foreign: tyro.conf.OmitArgPrefixes[ForeignConfig] = ForeignConfig()
 
     def __post_init__(self) -> None:
         check_types(self)

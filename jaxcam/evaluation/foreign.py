@@ -19,6 +19,7 @@ from jaxcam.evaluation.checkpoint import Wanted, evaluate
 from jaxcam.evaluation.evaluator import Evaluator
 from jaxcam.evaluation.mapping import Names, read_map, write_map
 from jaxcam.evaluation.sources import Function, Server, Source
+from jaxcam.evaluation.terms import map_of, names_of, record_of
 from jaxcam.files.paths import absolute, home, read_text
 from jaxcam.reports.run_figures import write_plots
 from jaxcam.reports.run_page import write_report
@@ -131,7 +132,7 @@ def _key(flags: ForeignConfig) -> str:
     if not flags.key_file:
         return flags.key
     try:
-        return read_text(home(flags.key_file)).strip()
+        return (read_text(home(flags.key_file)).splitlines() or [""])[0].strip()
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"--key-file {flags.key_file} cannot be read: {error}.") from error
 
