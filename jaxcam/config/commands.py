@@ -1,5 +1,6 @@
 """Settings of commands around training: evaluate, report, check, weights. Help needs no JAX."""
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -59,7 +60,9 @@ class EvaluateConfig:
     distributed: bool = False
     """Be one of several processes that share the rollouts; they find each other as those of
     `jaxcam.train --distributed` do."""
-    foreign: tyro.conf.OmitArgPrefixes[ForeignConfig] = ForeignConfig()
+    foreign: tyro.conf.OmitArgPrefixes[ForeignConfig] = dataclasses.field(
+        default_factory=ForeignConfig
+    )
 
     def __post_init__(self) -> None:
         check_types(self)

@@ -117,7 +117,7 @@ class Asking:
         if call == 0 and answers and len(refused) == len(answers):
             raise PortError(
                 f"The policy refuses the first observation of each rollout, so something is wrong "
-                f"with what it is sent, and nothing was written: {refused[0]} It was sent "
+                f"with what it is sent, and nothing was written: {_brief(str(refused[0]))} It was sent "
                 f"{', '.join(self.names)}; --obs MAP.yaml renames."
             )
 
@@ -144,6 +144,14 @@ class Asking:
         return chunk
 
     def _failed(self, episode: int, words: str) -> None:
-        self.causes[episode] = plain_line(words[:_LONGEST])
+        self.causes[episode] = _brief(words)
         if episode in self._talks:
             self._talks.pop(episode).close()
+
+
+def _brief(words: str) -> str:
+    """Words as one line; of a traceback its last, which says what happened."""
+    before, is_traceback, trace = words.partition("Traceback (most recent call last)")
+    if is_traceback:
+        words = before + next(line for line in reversed(trace.splitlines()) if line.strip())
+    return plain_line(words[:_LONGEST])

@@ -99,7 +99,8 @@ def _run_missing(
     most, draw = evaluator.width * processes, wanted.videos > 0
     rows = _rows_so_far(evaluator, candidate, wanted)
     turns = -(-len(missing(rows, wanted.pairs)) // most)
-    with progress(console, f"step {candidate.step}", horizon * turns) as advance:
+    what = f"step {candidate.step}" if candidate.step else "rollouts"
+    with progress(console, what, horizon * turns) as advance:
         while batch := missing(rows, wanted.pairs)[:most]:
             each = -(-len(batch) // processes)
             mine, clock = batch[number * each : (number + 1) * each], _Clock(advance)

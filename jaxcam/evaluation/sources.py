@@ -81,6 +81,7 @@ class Server:
         timeout: Seconds to wait for an answer.
         at_once: Questions that are sent at once; 0 is one, and to servers of ours as many as they
             answer in one go.
+        patience: Seconds to wait for a server that is not there.
 
     Raises:
         NoServerError: There is no such server.
@@ -90,6 +91,7 @@ class Server:
     key: str = ""
     timeout: float = 30.0
     at_once: int = 0
+    patience: float = 10.0
 
     def __post_init__(self) -> None:
         client = self._connect()
@@ -118,7 +120,13 @@ class Server:
         return _Connection(client, lambda: self._connect().close())
 
     def _connect(self, answer: str = "actions") -> Client:
-        return Client(self.address, key=self.key or None, timeout=self.timeout, answer=answer)
+        return Client(
+            self.address,
+            key=self.key or None,
+            timeout=self.timeout,
+            patience=self.patience,
+            answer=answer,
+        )
 
 
 @dataclass
