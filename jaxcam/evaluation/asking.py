@@ -116,9 +116,9 @@ class Asking:
         refused = [a for a in answers if isinstance(a, FailedError) and a.refused]
         if call == 0 and answers and len(refused) == len(answers):
             raise PortError(
-                f"The policy refuses the first observation of each rollout, so something is wrong "
-                f"with what it is sent, and nothing was written: {_brief(str(refused[0]))} It was sent "
-                f"{', '.join(self.names)}; --obs MAP.yaml renames."
+                "The policy refuses the first observation of each rollout, so something is wrong "
+                f"with what it is sent, and nothing was written. {_brief(str(refused[0]))} It was "
+                f"sent {', '.join(self.names)}; --obs MAP.yaml renames."
             )
 
     def _chunk(self, answer: Any) -> np.ndarray | str:

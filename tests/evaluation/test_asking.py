@@ -159,7 +159,7 @@ def test_a_policy_that_refuses_all_first_observations_was_set_up_wrongly():
         act = asking(server(address))
         with act.at_work(), pytest.raises(PortError, match=r"KeyError: 'wrist'") as refused:
             act(OBS, 0, ALL)
-    assert "It was sent observation.images.view_0" in str(refused.value)
+    assert "sent observation.images.view_0" in str(refused.value)
 
 
 def test_the_answer_has_the_name_that_the_map_gives():
