@@ -15,7 +15,7 @@ from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
 from jaxcam.evaluation.evaluator import Candidate
 from jaxcam.files.paths import absolute, read_text
-from jaxcam.interrupts import check_stop, interrupts
+from jaxcam.interrupts import interrupts
 from jaxcam.robot.asked import AskedPolicy, load_run
 from jaxcam.robot.averaging import Averaging, check_averages
 from jaxcam.robot.requests import Reader
@@ -74,7 +74,6 @@ class Service:
             rig = read_rig(absolute(settings.cameras), interface.views)
         if settings.ensemble:
             check_averages(config)
-        check_stop()
         policy = AskedPolicy(candidate, config.seed, settings.width)
         return cls(config, interface, policy, rig, settings.ensemble)
 
@@ -208,7 +207,10 @@ def address_of(listening: socket.socket) -> str:
 def main(settings: ServeConfig, console: Console) -> int:
     """Runs the command; its exit code."""
     key = key_of(settings)
-    with listen(settings.host, settings.port, has_key=bool(key)) as listening:
+    with (
+        interrupts("Stopping the server.", raises=False) as stop,
+        listen(settings.host, settings.port, has_key=bool(key)) as listening,
+    ):
         service = Service.open(settings)
 
         def tell(line: str) -> None:
@@ -222,8 +224,8 @@ def main(settings: ServeConfig, console: Console) -> int:
         limits = Limits(settings.clients, settings.largest_mb * 2**20, settings.per_second)
         desk = Desk(service.metadata(), service.session, tell)
         server = Server(service.policy, desk, key, limits)
-        with interrupts("Stopping the server.", raises=False) as stop:
+        if not stop:
             name = service.candidate.folder.name
             tell(f"Serving {name}, step {service.candidate.step}, on {address_of(listening)}")
             asyncio.run(server.run(listening, lambda: bool(stop)))
-            return stop.exit_code
+        return stop.exit_code
