@@ -51,6 +51,20 @@ class MachineError(JaxcamError):
     exit_code = 7
 
 
+class PortError(JaxcamError, RuntimeError):
+    """A policy server, or one who asks it, is gone, or says what the other cannot use."""
+
+    exit_code = 8
+
+
+class NoServerError(PortError):
+    """There is no policy server at an address, or not any more."""
+
+
+class RefusedError(PortError):
+    """A policy server says that it cannot use what it was sent."""
+
+
 class DivergedError(JaxcamError):
     """Training produced non-finite numbers for too long."""
 

@@ -16,6 +16,7 @@ from jaxcam.reports.packs.records import NAMED
 from jaxcam.results.protocol import NOT_RECORDED
 from jaxcam.results.rows import USUAL_WAY, Row
 from jaxcam.results.stats import latest_rows
+from jaxcam.runs.foreign import has_foreign, read_foreign
 from jaxcam.runs.identity import Settings, identity, read_config
 from jaxcam.runs.manifests import record_of_weights, sides
 from jaxcam.runs.metrics import read_metrics
@@ -101,7 +102,7 @@ def _find(path: Path, known: set[Path]) -> Iterator[Path]:
     if not path.is_dir() or (real := path.resolve()) in known:
         return
     known.add(real)
-    is_whole = (path / "config.json").is_file() or is_pack(path)
+    is_whole = (path / "config.json").is_file() or has_foreign(path) or is_pack(path)
     if is_whole or (path / "rows.jsonl").is_file():
         yield path
     for child in [] if is_whole else sorted(path.iterdir()):
@@ -114,6 +115,8 @@ def _read(folder: Path, split: str) -> list[Run]:
         return [replace(run, rows=[r for r in run.rows if r.split == split]) for run in runs]
     if (folder / "config.json").is_file():
         return [_read_run(folder, split)]
+    if has_foreign(folder):
+        return [_read_foreign_run(folder, split)]
     if (folder / "runs.json").is_file():
         return read_results(folder, split)
     return _read_rows(folder, split)
@@ -135,6 +138,13 @@ def _read_run(folder: Path, split: str) -> Run:
         settings["dataset"] = _content_of_data(folder, config.dataset)
     seconds = training_seconds(read_metrics(folder))
     return Run(folder.name, folder, settings, config.seed, rows, seconds, str(folder))
+
+
+def _read_foreign_run(folder: Path, split: str) -> Run:
+    """Somebody else's policy: one arm with one run, of which no seed is known."""
+    rows = [row for row in latest_rows(read_run_rows(folder)) if row.split == split]
+    settings = read_foreign(folder).settings | _ways(rows)
+    return Run(folder.name, folder, settings, None, rows, source=str(folder))
 
 
 def _read_rows(folder: Path, split: str) -> list[Run]:

@@ -12,11 +12,12 @@ from jaxcam.reports.arms import Run
 from jaxcam.reports.packs.records import NAMED, read_records
 from jaxcam.results.rows import USUAL_WAY, Row
 from jaxcam.results.stats import latest_rows
+from jaxcam.runs.foreign import has_foreign
 from jaxcam.runs.identity import Settings
 from jaxcam.runs.rollouts import of_one_run
 
 ROWS, RUNS = "rows.jsonl", "runs.json"
-_KEPT = ("step", "split", "pair", "pair_sha", "weights_sha", "success", "status", "steps",
+_KEPT = ("step", "split", "pair", "pair_sha", "weights_sha", "success", "status", "cause", "steps",
          "azimuth_deg", "elevation_deg", "distance", "renderer", "width")  # fmt: skip
 
 
@@ -62,7 +63,7 @@ def check_replaces(folder: Path, runs: Sequence[Run], flag: str = "--out") -> No
     Raises:
         ConfigError: It is a run's folder, or has rows that are not among these runs'.
     """
-    if (folder / "config.json").exists():
+    if (folder / "config.json").exists() or has_foreign(folder):
         raise ConfigError(f"{folder} is the folder of a run. Choose another {flag}.")
     if not (folder / "rows.jsonl").exists():
         return

@@ -1,0 +1,237 @@
+"""Asking a policy server: openpi's wire protocol, and a client for robots.
+
+A robot's computer needs this module, NumPy, msgpack and websockets; nothing else of jaxcam is
+imported. Messages are msgpack over a WebSocket, arrays as openpi's servers and clients write them
+(openpi, `packages/openpi-client`, its message format; the code here is our own), never pickle:
+
+    server -> client   metadata, once, when a client connects
+    client -> server   an observation: names to arrays, text, numbers
+    server -> client   {"actions": [T, A], "server_timing": {...}}, or text: what was wrong
+"""
+
+import math
+import time
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Any, Self, cast
+
+import msgpack
+import numpy as np
+from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidURI
+from websockets.sync.client import ClientConnection, connect
+
+from jaxcam.errors import NoServerError, PortError, RefusedError
+
+MOST_BYTES = 64 * 2**20
+"""Of one message; two pictures of 1080 x 1920 are 12 MiB."""
+_KINDS = "biufSU"
+"""Kinds of NumPy's types that arrays may have: truth values, numbers and text."""
+
+
+def to_wire(message: Any) -> bytes:
+    """A message as bytes.
+
+    Args:
+        message: Dicts, lists, text, numbers, and arrays of numbers.
+
+    Raises:
+        PortError: Something in it is none of these.
+    """
+    try:
+        return cast(bytes, msgpack.packb(message, default=_plain))
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise PortError(f"This cannot be sent: {error}.") from error
+
+
+def from_wire(data: bytes) -> Any:
+    """The message in some bytes; what is in them is data and cannot run.
+
+    Raises:
+        PortError: They are no such message, or an array in it is not what its header says.
+    """
+    try:
+        return msgpack.unpackb(data, object_hook=_array, strict_map_key=False)
+    except PortError:
+        raise
+    except (ValueError, TypeError, msgpack.UnpackException, RecursionError) as error:
+        words = str(error) or type(error).__name__
+        raise PortError(
+            f"Expected a message in msgpack, got {len(data)} bytes: {words}."
+        ) from error
+
+
+def _plain(value: Any) -> Any:
+    """An array or a number of NumPy's as openpi writes it."""
+    if hasattr(value, "__array__") and not isinstance(value, np.ndarray | np.generic):
+        value = np.asarray(value)  # PyTorch's and JAX's
+    if isinstance(value, np.ndarray | np.generic) and value.dtype.kind in _KINDS:
+        if isinstance(value, np.generic):
+            return {b"__npgeneric__": True, b"data": value.item(), b"dtype": value.dtype.str}
+        return {
+            b"__ndarray__": True,
+            b"data": value.tobytes(),
+            b"dtype": value.dtype.str,
+            b"shape": value.shape,
+        }
+    kind = f"an array of {value.dtype}" if hasattr(value, "dtype") else type(value).__name__
+    raise TypeError(f"{kind} is neither text nor numbers nor an array of them")
+
+
+def _array(entry: dict[Any, Any]) -> Any:
+    """What `_plain` wrote; other entries stay as they are."""
+    if b"__ndarray__" not in entry and b"__npgeneric__" not in entry:
+        return entry
+    try:
+        dtype = np.dtype(entry[b"dtype"])
+        if dtype.kind not in _KINDS or dtype.subdtype is not None:
+            raise PortError(f"An array of {dtype} is not taken; expected numbers or text.")
+        if b"__npgeneric__" in entry:
+            return dtype.type(entry[b"data"])
+        shape, data = tuple(entry[b"shape"]), entry[b"data"]
+        if not all(isinstance(side, int) and side >= 0 for side in shape):
+            raise ValueError("its shape is no list of sizes")
+        if len(data) != dtype.itemsize * math.prod(shape):
+            raise ValueError(f"{len(data)} bytes of data, and {dtype} {list(shape)} by its header")
+        return np.frombuffer(data, dtype).reshape(shape)
+    except PortError:
+        raise
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise PortError(f"An array in the message is damaged: {error}.") from error
+
+
+class Client:
+    """A connection to a policy server; `with Client("ws://localhost:8000") as policy: …`.
+
+    Lost connections are made again. Not for several threads at once.
+
+    Args:
+        url: Such as "ws://localhost:8000".
+        key: What the server asks for, if it does.
+        timeout: Seconds to wait for an answer.
+        patience: Seconds to wait for a server that is not there, or not yet.
+        answer: What the server calls its actions.
+
+    Raises:
+        NoServerError: There is no such server, or it does not take the key.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        *,
+        key: str | None = None,
+        timeout: float = 30.0,
+        patience: float = 10.0,
+        answer: str = "actions",
+    ) -> None:
+        self.url, self._timeout, self._patience, self._answer = url, timeout, patience, answer
+        self._headers = {"Authorization": f"Api-Key {key}"} if key else {}
+        self._connection: ClientConnection | None = None
+        self.metadata: Mapping[str, Any] = {}
+        """What the server says of itself; `{}` where it says nothing."""
+        self.reconnects = 0
+        """How often a lost connection was made again. A server that remembers observations has
+        forgotten them then."""
+        self._connect()
+
+    def infer(self, observation: Mapping[str, Any]) -> dict[str, Any]:
+        """The server's answer to an observation: `actions` [T, A], and what else it says.
+
+        Args:
+            observation: What the server asks for by its `metadata`: names to arrays and text.
+
+        Raises:
+            NoServerError: The server is gone and does not come back.
+            RefusedError: It refuses the observation; its words are in the message.
+            PortError: It does not answer in time, or its answer is none.
+        """
+        answer = self._ask(to_wire(dict(observation)))
+        if self._answer not in answer:
+            names = sorted(map(str, answer))
+            raise PortError(f"{self.url} answered without {self._answer}: {names}.")
+        return answer
+
+    def reset(self) -> None:
+        """Tell the server that an episode begins, if it is one that wants to know."""
+        if "episode_start" in (self.metadata.get("controls") or ()):
+            self._ask(to_wire({"__ctrl__": "episode_start"}))
+
+    def close(self) -> None:
+        """End the connection; the next question makes it again."""
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _ask(self, message: bytes) -> dict[str, Any]:
+        """The answer to a message, on a new connection where the old one is gone."""
+        if len(message) > MOST_BYTES:
+            raise PortError(f"An observation of {len(message)} bytes; at most {MOST_BYTES}.")
+        fresh = self._connection is None
+        if self._connection is None:
+            self._connect()
+            self.reconnects += 1
+        try:
+            answer = self._exchange(message)
+        except ConnectionClosed as error:
+            self._connection = None
+            if fresh:
+                raise PortError(f"{self.url} ended the connection: {error}.") from error
+            return self._ask(message)
+        if isinstance(answer, str):
+            raise RefusedError(f"{self.url} refused: {answer}")
+        content = from_wire(answer)
+        if not isinstance(content, dict):
+            raise PortError(f"{self.url} answered with {type(content).__name__}, expected names.")
+        return cast("dict[str, Any]", content)
+
+    def _exchange(self, message: bytes) -> str | bytes:
+        assert self._connection is not None
+        try:
+            self._connection.send(message)
+            return self._connection.recv(self._timeout)
+        except TimeoutError as error:
+            self.close()  # the answer may still come, and would be taken for the next one's
+            raise PortError(f"{self.url} did not answer within {self._timeout:g} s.") from error
+
+    def _connect(self) -> None:
+        """Connect, waiting for a server that is about to come, and read what it says of itself."""
+        until = time.monotonic() + self._patience
+        while True:
+            try:
+                self._connection = connect(
+                    self.url,
+                    compression=None,
+                    max_size=MOST_BYTES,
+                    additional_headers=self._headers,
+                    open_timeout=max(1.0, self._patience),
+                )
+                first = self._connection.recv(self._timeout)
+                break
+            except (InvalidURI, InvalidHandshake) as error:
+                raise NoServerError(f"{self.url} is no policy server for us: {error}.") from error
+            except (OSError, ConnectionClosed) as error:  # a time-out is one, too
+                self.close()
+                if time.monotonic() > until:
+                    raise NoServerError(
+                        f"No policy server answers at {self.url}: {error or type(error).__name__}. "
+                        "Start it, or check the address."
+                    ) from error
+                time.sleep(0.2)
+        metadata = from_wire(first) if isinstance(first, bytes) else None
+        if not isinstance(metadata, dict):
+            self.close()
+            raise NoServerError(
+                f"{self.url} did not begin with what it is, as openpi's servers do."
+            )
+        self.metadata = cast("dict[str, Any]", metadata)

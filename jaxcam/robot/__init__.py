@@ -1,0 +1,1 @@
+"""Policies on robots: the server that they are asked over, calibration, and trials."""
