@@ -20,7 +20,7 @@ import numpy as np
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidURI
 from websockets.sync.client import ClientConnection, connect
 
-from jaxcam.errors import PortError
+from jaxcam.errors import NoServerError, PortError, RefusedError
 
 MOST_BYTES = 64 * 2**20
 """Of one message; two pictures of 1080 x 1920 are 12 MiB."""
@@ -109,15 +109,22 @@ class Client:
         key: What the server asks for, if it does.
         timeout: Seconds to wait for an answer.
         patience: Seconds to wait for a server that is not there, or not yet.
+        answer: What the server calls its actions.
 
     Raises:
-        PortError: There is no such server, or it does not take the key.
+        NoServerError: There is no such server, or it does not take the key.
     """
 
     def __init__(
-        self, url: str, *, key: str | None = None, timeout: float = 30.0, patience: float = 10.0
+        self,
+        url: str,
+        *,
+        key: str | None = None,
+        timeout: float = 30.0,
+        patience: float = 10.0,
+        answer: str = "actions",
     ) -> None:
-        self.url, self._timeout, self._patience = url, timeout, patience
+        self.url, self._timeout, self._patience, self._answer = url, timeout, patience, answer
         self._headers = {"Authorization": f"Api-Key {key}"} if key else {}
         self._connection: ClientConnection | None = None
         self.metadata: Mapping[str, Any] = {}
@@ -134,12 +141,14 @@ class Client:
             observation: What the server asks for by its `metadata`: names to arrays and text.
 
         Raises:
-            PortError: The server refuses it (its words are in the message), does not answer in
-                time, or is gone and does not come back.
+            NoServerError: The server is gone and does not come back.
+            RefusedError: It refuses the observation; its words are in the message.
+            PortError: It does not answer in time, or its answer is none.
         """
         answer = self._ask(to_wire(dict(observation)))
-        if "actions" not in answer:
-            raise PortError(f"{self.url} answered without actions: {sorted(map(str, answer))}.")
+        if self._answer not in answer:
+            names = sorted(map(str, answer))
+            raise PortError(f"{self.url} answered without {self._answer}: {names}.")
         return answer
 
     def reset(self) -> None:
@@ -180,7 +189,7 @@ class Client:
                 raise PortError(f"{self.url} ended the connection: {error}.") from error
             return self._ask(message)
         if isinstance(answer, str):
-            raise PortError(f"{self.url} refused: {answer}")
+            raise RefusedError(f"{self.url} refused: {answer}")
         content = from_wire(answer)
         if not isinstance(content, dict):
             raise PortError(f"{self.url} answered with {type(content).__name__}, expected names.")
@@ -210,11 +219,11 @@ class Client:
                 first = self._connection.recv(self._timeout)
                 break
             except (InvalidURI, InvalidHandshake) as error:
-                raise PortError(f"{self.url} is no policy server for us: {error}.") from error
+                raise NoServerError(f"{self.url} is no policy server for us: {error}.") from error
             except (OSError, ConnectionClosed) as error:  # a time-out is one, too
                 self.close()
                 if time.monotonic() > until:
-                    raise PortError(
+                    raise NoServerError(
                         f"No policy server answers at {self.url}: {error or type(error).__name__}. "
                         "Start it, or check the address."
                     ) from error
@@ -222,5 +231,7 @@ class Client:
         metadata = from_wire(first) if isinstance(first, bytes) else None
         if not isinstance(metadata, dict):
             self.close()
-            raise PortError(f"{self.url} did not begin with what it is, as openpi's servers do.")
+            raise NoServerError(
+                f"{self.url} did not begin with what it is, as openpi's servers do."
+            )
         self.metadata = cast("dict[str, Any]", metadata)

@@ -57,6 +57,14 @@ class PortError(JaxcamError, RuntimeError):
     exit_code = 8
 
 
+class NoServerError(PortError):
+    """There is no policy server at an address, or not any more."""
+
+
+class RefusedError(PortError):
+    """A policy server says that it cannot use what it was sent."""
+
+
 class DivergedError(JaxcamError):
     """Training produced non-finite numbers for too long."""
 

@@ -1,5 +1,6 @@
 """Settings of commands around training: evaluate, report, check, weights. Help needs no JAX."""
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -7,6 +8,7 @@ import tyro
 
 from jaxcam.config.fields import check_least, check_most, check_rotation_form, check_types
 from jaxcam.config.flags import default
+from jaxcam.config.foreign import ForeignConfig
 from jaxcam.config.names import (
     ActionSpace,
     Cluster,
@@ -29,9 +31,10 @@ class EvaluateConfig:
 
     run: tyro.conf.Positional[
         Annotated[
-            tuple[str, ...], tyro.conf.arg(metavar="RUN ...", help_behavior_hint="(required)")
+            tuple[str, ...],
+            tyro.conf.arg(metavar="RUN ...", help_behavior_hint="(or --policy)"),
         ]
-    ]
+    ] = ()
     """Folders of runs."""
     protocol: ProtocolName = "one"
     """one is a single checkpoint; paper is the last 10 checkpoints on 50 pairs each (3 seeds are 3
@@ -57,6 +60,9 @@ class EvaluateConfig:
     distributed: bool = False
     """Be one of several processes that share the rollouts; they find each other as those of
     `jaxcam.train --distributed` do."""
+    foreign: tyro.conf.OmitArgPrefixes[ForeignConfig] = dataclasses.field(
+        default_factory=ForeignConfig
+    )
 
     def __post_init__(self) -> None:
         check_types(self)
@@ -64,11 +70,31 @@ class EvaluateConfig:
         check_least(self, 0, "step videos")
         check_most(self, 1_000_000, "pairs width videos")
         check_least(self, -1, "ensemble")
-        if not self.run:
-            raise ConfigError("No run is given. Name one run folder or several.")
+        if self.foreign.policy:
+            self._check_foreign()
+        elif not self.run:
+            raise ConfigError("No run is given. Name one run folder or several, or a --policy.")
         if self.protocol == "paper" and (self.step is not None or self.pairs != 50):
             raise ConfigError("protocol paper has its own checkpoints and 50 pairs: leave out "
                               "--step and --pairs.")  # fmt: skip
+
+    def _check_foreign(self) -> None:
+        """Refuses what only checkpoints have."""
+        if self.run:
+            raise ConfigError("Give runs or --policy, not both.")
+        if self.protocol == "paper":
+            raise ConfigError(
+                "protocol paper judges the last 10 checkpoints of a run, and --policy is one "
+                "policy: leave out --protocol."
+            )
+        for name in ("step", "ensemble", "distributed"):
+            if getattr(self, name) != getattr(EvaluateConfig, name):
+                raise ConfigError(f"--{name} is for runs, not for --policy.")
+        if self.engine.startswith("mjx"):
+            raise ConfigError(
+                f"engine {self.engine} steps worlds and policy in one program, and --policy is "
+                "asked from outside of it: use native, or auto."
+            )
 
 
 @dataclass(frozen=True)
@@ -85,11 +111,28 @@ class ReportConfig:
     """Folder to write."""
     split: Split = "test"
     """Which pairs: those kept for results, or those for choosing settings."""
+    pack: Annotated[str, default("none")] = ""
+    """Folder to write a result pack to instead: the rollouts with digests, to be given to others,
+    see docs/benchmark.md."""
+    pack_name: Annotated[str, default("the folder's name")] = ""
+    """What the pack is called on a leaderboard."""
+    authors: Annotated[str, default("none")] = ""
+    """Whose the pack is."""
+    link: Annotated[str, default("none")] = ""
+    """Where more is to be read about it, such as https://example.org/paper."""
+    leaderboard: Annotated[str, default("none")] = ""
+    """HTML page to write instead, over all the packs that are given."""
 
     def __post_init__(self) -> None:
         check_types(self)
         if not self.runs:
             raise ConfigError("No run is given. Name run folders, or folders that hold some.")
+        _check_only_with(self, "pack", "pack_name authors link")
+        if self.pack and self.leaderboard:
+            raise ConfigError("Give --pack or --leaderboard, not both.")
+        if (self.pack or self.leaderboard) and self.out != ReportConfig.out:
+            raise ConfigError("--out is the folder of a report, which --pack and --leaderboard do "
+                              "not write: leave it out.")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -181,9 +224,9 @@ class WeightsConfig:
         _check_only_with(self, "run_dir", "task scene action_space rotations")
 
 
-def _check_only_with(config: WeightsConfig, flag: str, fields: str) -> None:
+def _check_only_with(config: WeightsConfig | ReportConfig, flag: str, fields: str) -> None:
     """Refuses settings that mean nothing without a flag: they would be forgotten without a word."""
     for field in fields.split():
-        if not getattr(config, flag) and getattr(config, field) != getattr(WeightsConfig, field):
+        if not getattr(config, flag) and getattr(config, field) != getattr(type(config), field):
             names = (f"--{name.replace('_', '-')}" for name in (field, flag))
             raise ConfigError("{} goes with {} only.".format(*names))

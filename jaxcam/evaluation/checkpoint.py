@@ -1,4 +1,4 @@
-"""The evaluation of one checkpoint: all processes run what is missing, the first one writes."""
+"""The evaluation of one policy: all processes run what is missing, the first one writes."""
 
 import contextlib
 import logging
@@ -12,7 +12,7 @@ from jaxcam.console.progress import progress
 from jaxcam.data.pairs import store_pairs
 from jaxcam.devices import gathered, is_first, memory_lacks, shard
 from jaxcam.errors import DatasetError
-from jaxcam.evaluation.evaluator import Candidate, Evaluator
+from jaxcam.evaluation.evaluator import Evaluated, Evaluator
 from jaxcam.files.jsonl import append_jsonl
 from jaxcam.files.locks import exclusive
 from jaxcam.files.video import grid, write_video
@@ -41,7 +41,7 @@ class Wanted:
 
 
 def evaluate(
-    evaluator: Evaluator, candidate: Candidate, wanted: Wanted, console: Console | None = None
+    evaluator: Evaluator, candidate: Evaluated, wanted: Wanted, console: Console | None = None
 ) -> Estimate:
     """Runs the pairs of a checkpoint that have no row yet, and writes rows, and two videos.
 
@@ -52,7 +52,7 @@ def evaluate(
 
     Args:
         evaluator: Of the run's task.
-        candidate: The checkpoint.
+        candidate: The checkpoint, or the foreign policy.
         wanted: Which pairs, and how many videos.
         console: For progress; silent when None.
 
@@ -92,14 +92,15 @@ def rows_of(rows: Sequence[Row], evaluator: Evaluator, step: int, wanted: Wanted
 
 
 def _run_missing(
-    evaluator: Evaluator, candidate: Candidate, wanted: Wanted, console: Console | None
+    evaluator: Evaluator, candidate: Evaluated, wanted: Wanted, console: Console | None
 ) -> list[Row]:
     """Runs batch after batch until nothing is missing; all rows of the checkpoint."""
     (number, processes), horizon = shard(), evaluator.task.horizon
     most, draw = evaluator.width * processes, wanted.videos > 0
     rows = _rows_so_far(evaluator, candidate, wanted)
     turns = -(-len(missing(rows, wanted.pairs)) // most)
-    with progress(console, f"step {candidate.step}", horizon * turns) as advance:
+    what = f"step {candidate.step}" if candidate.step else "rollouts"
+    with progress(console, what, horizon * turns) as advance:
         while batch := missing(rows, wanted.pairs)[:most]:
             each = -(-len(batch) // processes)
             mine, clock = batch[number * each : (number + 1) * each], _Clock(advance)
@@ -112,14 +113,14 @@ def _run_missing(
     return rows
 
 
-def _rows_so_far(evaluator: Evaluator, candidate: Candidate, wanted: Wanted) -> list[Row]:
+def _rows_so_far(evaluator: Evaluator, candidate: Evaluated, wanted: Wanted) -> list[Row]:
     """The checkpoint's rows as the first process reads them, since all are to see the same."""
     rows = _own_rows(candidate) if is_first() else []
     rows = rows_of(rows, evaluator, candidate.step, wanted)
     return _shared(rows)[0]
 
 
-def _own_rows(candidate: Candidate) -> list[Row]:
+def _own_rows(candidate: Evaluated) -> list[Row]:
     """The rows of the candidate's run; those of its step were made with its weights."""
     rows = read_run_rows(candidate.folder)
     for row in rows:
@@ -154,7 +155,7 @@ class _Clock:
 
 
 def _run_batch(
-    evaluator: Evaluator, candidate: Candidate, split: str, pairs: Sequence[int], clock: _Clock
+    evaluator: Evaluator, candidate: Evaluated, split: str, pairs: Sequence[int], clock: _Clock
 ) -> tuple[list[Row], Rollouts | None]:
     """Runs this process's pairs and writes the rows of all processes; the first has its rollouts.
 
@@ -174,7 +175,7 @@ def _run_batch(
 
 def _write_videos(
     evaluator: Evaluator,
-    candidate: Candidate,
+    candidate: Evaluated,
     wanted: Wanted,
     rows: Sequence[Row],
     done: Rollouts,

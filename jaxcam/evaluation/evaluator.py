@@ -1,18 +1,20 @@
 """Rollouts of a policy on held-out pairs: the simulator of a task, and a row for each rollout."""
 
+import contextlib
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import jax
 import numpy as np
 from jax.sharding import Mesh
 from jax.tree_util import Partial
 
+from jaxcam.config.names import Rotations, SceneName
 from jaxcam.config.sizes import rows_and_columns
-from jaxcam.config.train import TrainConfig
 from jaxcam.data.pairs import Pairs, make_pairs
 from jaxcam.devices import copied, data_mesh, spread
 from jaxcam.files.paths import absolute
@@ -30,6 +32,88 @@ from jaxcam.training.digests import describe, flatten
 VIDEO_PIXELS = 160
 VIDEO_STRIDE = 2
 """Control steps per picture of a video."""
+
+
+class Setting(Protocol):
+    """What an evaluation has to know of whom it evaluates; a run's `TrainConfig` says it."""
+
+    @property
+    def task(self) -> str:
+        """Name of the task."""
+        ...
+
+    @property
+    def scene(self) -> SceneName:
+        """Which of its scenes."""
+        ...
+
+    @property
+    def policy(self) -> str:
+        """Kind of policy, or the name of a foreign one."""
+        ...
+
+    @property
+    def conditioning(self) -> str:
+        """How the policy is given its camera."""
+        ...
+
+    @property
+    def seed(self) -> int | None:
+        """Of the training; None where nobody says."""
+        ...
+
+    @property
+    def views(self) -> int:
+        """Cameras that the policy sees at once."""
+        ...
+
+    @property
+    def resolution(self) -> int | str:
+        """Size of the pictures, see `jaxcam.config.sizes`."""
+        ...
+
+    @property
+    def action_space(self) -> str:
+        """What the policy's actions mean."""
+        ...
+
+    @property
+    def rotations(self) -> Rotations:
+        """What the rotation vectors of eef_abs are counted from."""
+        ...
+
+    @property
+    def engine(self) -> str:
+        """What simulates, where the evaluation is not told."""
+        ...
+
+    @property
+    def ensemble(self) -> float:
+        """Rate of temporal ensembling, where the evaluation is not told."""
+        ...
+
+
+class Evaluated(Protocol):
+    """Who is evaluated: the policy of a checkpoint, or a foreign one."""
+
+    @property
+    def folder(self) -> Path:
+        """Where its rows go: of the run."""
+        ...
+
+    @property
+    def step(self) -> int:
+        """Updates of the checkpoint; 0 of a foreign policy."""
+        ...
+
+    @property
+    def weights_sha(self) -> str:
+        """Digest of what acts, which ties rows to it."""
+        ...
+
+    def acting(self, evaluator: "Evaluator") -> AbstractContextManager[Agent]:
+        """The policy as the rollouts of one batch ask it."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -53,12 +137,34 @@ class Candidate:
         """Digest of the parameters, which ties rows to them."""
         return weights_digest({name: describe(x) for name, x in flatten(self.params).items()})
 
+    @contextlib.contextmanager
+    def acting(self, evaluator: "Evaluator") -> Iterator[Agent]:
+        """The policy as the rollouts of one batch ask it."""
+        spec, rate = self.policy.spec, evaluator.ensemble
+        ahead = spec.chunk - spec.obs_steps + 1  # steps that a chunk reaches into the future
+        yield Agent(
+            self._call(evaluator),
+            evaluator.space,
+            execute=ahead if rate else self.policy.execute,
+            obs_steps=spec.obs_steps,
+            ensembling=rate,
+        )
+
+    def _call(self, evaluator: "Evaluator") -> Partial:
+        """The policy as rollouts call it."""
+        mesh, params = None, self.params
+        if not evaluator.engine_name.startswith("mjx"):  # those are one program, on one device
+            mesh = data_mesh(evaluator.width, everywhere=False)
+            params = copied(mesh, params)
+        root = jax.random.key(evaluator.config.seed or 0)
+        return Partial(Acting(self.policy.act, mesh), params, root)
+
 
 class Evaluator:
     """Runs pairs of one task, scene and action space; the compiled parts are made once.
 
     Args:
-        config: Of the runs whose policies are evaluated.
+        config: Of the runs, or the foreign policy, that are evaluated.
         width: Rollouts simulated at once. Policies see batches of exactly this many, since the
             width can change a result's last digits; it is kept in each row.
         engine: That simulates them; `config.engine` when None.
@@ -67,7 +173,7 @@ class Evaluator:
 
     def __init__(
         self,
-        config: TrainConfig,
+        config: Setting,
         width: int = 50,
         engine: str | None = None,
         ensemble: float | None = None,
@@ -87,7 +193,7 @@ class Evaluator:
 
     def run(
         self,
-        candidate: Candidate,
+        candidate: Evaluated,
         split: str,
         pairs: Sequence[int],
         tick: Callable[[], None] = lambda: None,
@@ -95,7 +201,7 @@ class Evaluator:
         """Runs at most `width` pairs at once.
 
         Args:
-            candidate: The checkpoint.
+            candidate: Who acts.
             split: Which pairs: `test` or `validation`.
             pairs: Their numbers.
             tick: Called after every control step.
@@ -103,35 +209,28 @@ class Evaluator:
         Returns:
             One row per pair, and the rollouts.
         """
-        config, spec = self.config, candidate.policy.spec
         # Always worlds for `width`: neither policy nor compiled physics sees another size.
         filled = [*pairs, *[pairs[-1]] * (self.width - len(pairs))]
         chosen = self.pairs(split, filled)
-        K = intrinsics(self.task.fovy_deg, *rows_and_columns(config.resolution))
-        ahead = spec.chunk - spec.obs_steps + 1  # steps that a chunk reaches into the future
-        agent = Agent(
-            self._acting(candidate.policy, candidate.params),
-            space_of(config.action_space, config.rotations),
-            execute=ahead if self.ensemble else candidate.policy.execute,
-            obs_steps=spec.obs_steps,
-            ensembling=self.ensemble,
-        )
+        K = intrinsics(self.task.fovy_deg, *rows_and_columns(self.config.resolution))
         episodes = Episodes(
             chosen.start,
             K=np.broadcast_to(K, (*chosen.cameras.shape[:2], 3, 3)),
             world_from_camera=chosen.cameras,
             alive=np.arange(self.width) < len(pairs),
         )
-        done = rollout(agent, self.task, self.engine, self.renderer, episodes, tick)
-        return self._rows(candidate, split, pairs, chosen, done), done
+        with candidate.acting(self) as agent:
+            done = rollout(agent, self.task, self.engine, self.renderer, episodes, tick)
+        return self._rows(candidate, split, pairs, chosen, done, agent.causes), done
 
     def _rows(
         self,
-        candidate: Candidate,
+        candidate: Evaluated,
         split: str,
         pairs: Sequence[int],
         chosen: Pairs,
         done: Rollouts,
+        causes: Mapping[int, str],
     ) -> list[Row]:
         """A row for each of the pairs; the batch may be longer."""
         config, cameras, digests = self.config, chosen.cameras, chosen.digests()
@@ -163,18 +262,16 @@ class Evaluator:
                 ensemble=self.ensemble,
                 width=self.width,
                 episode_seed=chosen.seeds[i],
+                cause=causes.get(i) if status == "policy" else None,
             )
             for i, pair in enumerate(pairs)
             for status, success in [_outcome(done, i)]
         ]
 
-    def _acting(self, policy: Policy, params: Any) -> Partial:
-        """The policy as rollouts call it."""
-        mesh = None
-        if not self.engine_name.startswith("mjx"):  # those are one program, on one device
-            mesh = data_mesh(self.width, everywhere=False)
-            params = copied(mesh, params)
-        return Partial(Acting(policy.act, mesh), params, jax.random.key(self.config.seed))
+    @property
+    def space(self) -> str:
+        """Of the actions, see `jaxcam.sim.actions`."""
+        return space_of(self.config.action_space, self.config.rotations)
 
     def clips(self, done: Rollouts, split: str, pairs: Sequence[int]) -> list[np.ndarray]:
         """Videos of rollouts as their first camera saw them, uint8 [T, H, W, 3] each."""
@@ -219,8 +316,13 @@ class Acting:
     mesh: Mesh | None = None
     """Devices that share the batch, if it comes from the host."""
 
-    def __call__(self, params: Any, root: jax.Array, obs: Any, number: jax.Array) -> jax.Array:
-        """Chunks [B, T, A] for a batch of observations; `number` is the call's, in its episode."""
+    def __call__(
+        self, params: Any, root: jax.Array, obs: Any, number: jax.Array, active: Any
+    ) -> jax.Array:
+        """Chunks [B, T, A] for a batch of observations; `number` is the call's, in its episode.
+
+        All episodes are in the batch, whichever are active: it is of one size.
+        """
         if self.mesh:
             obs = spread(self.mesh, obs)
         return jax.jit(self.act)(params, obs, jax.random.fold_in(root, number))

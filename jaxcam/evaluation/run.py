@@ -1,6 +1,7 @@
 """`python -m jaxcam.evaluate RUN…`: success on (initial state, camera pose) pairs never seen.
 
-Every rollout is one row of `RUN/eval/rows.jsonl`.
+Every rollout is one row of `RUN/eval/rows.jsonl`. Somebody else's policy is evaluated by
+`jaxcam.evaluation.foreign`.
 """
 
 from collections.abc import Sequence
@@ -15,6 +16,7 @@ from jaxcam.devices import gathered, is_first, joined
 from jaxcam.errors import CheckpointError, ConfigError, JaxcamError
 from jaxcam.evaluation.checkpoint import Wanted, evaluate, rows_of
 from jaxcam.evaluation.evaluator import Candidate, Evaluator
+from jaxcam.evaluation.foreign import evaluate_foreign
 from jaxcam.files.paths import absolute
 from jaxcam.reports.run_figures import write_plots
 from jaxcam.reports.run_page import write_report
@@ -115,6 +117,9 @@ def steps_to_judge(folder: Path, trained: TrainConfig) -> tuple[list[int], list[
 
 def main(config: EvaluateConfig, console: Console) -> None:
     """Runs the command."""
+    if config.foreign.policy:
+        evaluate_foreign(config, console)
+        return
     with joined(config.distributed):
         evaluate_runs(config, console if is_first() else None)
 

@@ -5,7 +5,7 @@ Videos lie beside the page; pictures are inside it.
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +15,13 @@ from jaxcam.errors import ConfigError
 from jaxcam.files.paths import read_text
 from jaxcam.files.whole import write_atomically
 from jaxcam.reports import paper
-from jaxcam.reports.arms import training_seconds
 from jaxcam.reports.html import Embedded, embedded, own_files, render
+from jaxcam.reports.reading import training_seconds
 from jaxcam.results.actions import ActionErrors
 from jaxcam.results.rows import Row
-from jaxcam.results.stats import Estimate, by_field, latest_rows, success_rate
+from jaxcam.results.stats import Estimate, by_field, causes, latest_rows, success_rate
 from jaxcam.runs.action_errors import read_errors
+from jaxcam.runs.foreign import has_foreign, read_foreign
 from jaxcam.runs.identity import RECORDED, differences, plain, read_config, resolve
 from jaxcam.runs.metrics import MetricsRow, read_metrics
 from jaxcam.runs.rollouts import read_run_rows
@@ -57,32 +58,83 @@ def write_report(run_dir: str | Path) -> Path:
         ConfigError: The folder is not of a run.
     """
     run = Path(run_dir)
-    if not (run / "config.json").is_file():
+    if not ((run / "config.json").is_file() or has_foreign(run)):
         raise ConfigError(f"{run} is not the folder of a run: it has no config.json.")
-    config = read_config(run)
-    metrics = read_metrics(run)
     # Rows of validation pairs serve to choose settings; they are no result.
     rows = [row for row in latest_rows(read_run_rows(run)) if row.split == "test"]
     newest = max((row.step for row in rows), default=0)
     shown = [row for row in rows if row.step == newest]
+    about = _about_foreign(run, shown) if has_foreign(run) else _about(run_dir, shown, newest)
     content = render(
         "run.html",
-        f"{paper.policy_title(config.policy, short=False)} on {_subject(config)}",
-        f"Conditioning: {config.conditioning}. Preset: {config.preset}. Seed: {config.seed}.",
-        estimate=None if config.task == RECORDED else success_rate(shown),
+        estimate=success_rate(shown) if about.evaluated else None,
         errors=_errors(read_errors(run)),
-        facts=_facts(config, metrics, shown, newest),
+        causes=causes(shown),
         plots=_figures(run / "plots"),
         videos=_videos(run),
         pictures=_figures(run / "pictures"),
         rollouts=_rollouts(shown),
         checkpoints=_checkpoints(rows),
-        commands=_commands(run_dir, config),
-        settings={name: plain(value) for name, value in asdict(config).items()},
         environment=_environment(run / "env.txt"),
+        title=about.title,
+        subtitle=about.subtitle,
+        facts=about.facts,
+        commands=[[shlex.quote(word) for word in line] for line in about.commands],
+        settings=about.settings,
     )
     write_atomically(run / "report.html", content)
     return run / "report.html"
+
+
+@dataclass(frozen=True)
+class _About:
+    """What a page says of whom it is about."""
+
+    title: str
+    subtitle: str
+    facts: dict[str, Any]
+    commands: list[list[str]]
+    settings: dict[str, str]
+    evaluated: bool = True
+
+
+def _about(run_dir: str | Path, shown: Sequence[Row], newest: int) -> _About:
+    """Of a run."""
+    config, metrics = read_config(Path(run_dir)), read_metrics(Path(run_dir))
+    return _About(
+        f"{paper.policy_title(config.policy, short=False)} on {_subject(config)}",
+        f"Conditioning: {config.conditioning}. Preset: {config.preset}. Seed: {config.seed}.",
+        _facts(config, metrics, shown, newest),
+        _commands(run_dir, config),
+        {name: plain(value) for name, value in asdict(config).items()},
+        evaluated=config.task != RECORDED,
+    )
+
+
+def _about_foreign(run: Path, shown: Sequence[Row]) -> _About:
+    """Of somebody else's policy."""
+    record = read_foreign(run)
+    known = (("Policy", record.name), ("At", record.address), ("Conditioning", record.conditioning))
+    facts = {
+        **dict(known),
+        "Views": record.views,
+        "Action space": record.action_space,
+        "Pictures": _pixels(record.resolution),
+        "Steps executed": record.execute or "all of a chunk",
+        **_lengths(shown),
+    }
+    again = [
+        "python", "-m", "jaxcam.evaluate", "--policy", record.address, "--task", record.task,
+        "--scene", record.scene, "--views", str(record.views), "--name", record.name,
+        "--obs", str(run / "obs.yaml"), "--run-dir", str(run),
+    ]  # fmt: skip
+    return _About(
+        f"{record.name} on {record.task}, {record.scene} scene",
+        "A policy that was not trained here, on the pairs that ours are evaluated on.",
+        facts,
+        [again],
+        {name: plain(value) for name, value in asdict(record).items()},
+    )
 
 
 def reproduce_command(config: TrainConfig) -> str:
@@ -111,14 +163,13 @@ def _facts(
 ) -> dict[str, Any]:
     """What stands beside the success rate."""
     trained = int(max((row.get("step", 0) for row in metrics), default=0))
-    lengths = [row.steps or 0 for row in rows if row.finished and row.success]
     facts = {
         "Learned from": _subject(config),
         "Policy": config.policy,
         "Conditioning": config.conditioning,
         "Views": config.views,
         "Action space": config.action_space,
-        "Pictures": f"{' × '.join(map(str, rows_and_columns(config.resolution)))} pixels",
+        "Pictures": _pixels(config.resolution),
         "Demonstrations": config.demos,
         "Training steps": f"{trained:,} of {config.steps:,}",
     }
@@ -126,9 +177,19 @@ def _facts(
         facts["Wall time"] = _duration(seconds)
     if rows:
         facts["Evaluated checkpoint"] = f"step {step:,}"
-    if lengths:
-        facts["Steps to success"] = f"{sum(lengths) / len(lengths):.0f} on average"
-    return facts
+    return facts | _lengths(rows)
+
+
+def _pixels(resolution: int | str) -> str:
+    return f"{' × '.join(map(str, rows_and_columns(resolution)))} pixels"
+
+
+def _lengths(rows: Sequence[Row]) -> dict[str, str]:
+    """How long successes took, if there are any."""
+    lengths = [row.steps or 0 for row in rows if row.finished and row.success]
+    if not lengths:
+        return {}
+    return {"Steps to success": f"{sum(lengths) / len(lengths):.0f} on average"}
 
 
 def _subject(config: TrainConfig) -> str:
@@ -193,7 +254,7 @@ def _outcome(row: Row) -> str:
     if not row.finished:
         return "did not finish"
     if row.status == "policy":
-        return "failure: no actions"
+        return f"failure: {row.cause or 'no actions'}"
     return "success" if row.success else "failure"
 
 
@@ -209,8 +270,7 @@ def _commands(run_dir: str | Path, config: TrainConfig) -> list[list[str]]:
     """How to train and evaluate again, word by word; evaluating writes this page anew."""
     evaluate = ["python", "-m", "jaxcam.evaluate", str(run_dir), "--pairs", "200"]
     train = shlex.split(reproduce_command(config))
-    lines = (train,) if config.task == RECORDED else (train, evaluate)
-    return [[shlex.quote(word) for word in line] for line in lines]
+    return [train] if config.task == RECORDED else [train, evaluate]
 
 
 def _environment(file: Path) -> str:

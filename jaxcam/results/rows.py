@@ -46,6 +46,7 @@ class Row:
         ensemble: Rate of temporal ensembling; 0 is off.
         width: Rollouts simulated at once; it may change a result's last digits.
         episode_seed: Of the initial state.
+        cause: Why the policy gave no actions, in words, where that is known.
     """
 
     task: str | None = None
@@ -71,6 +72,7 @@ class Row:
     ensemble: float = 0.0
     width: int | None = None
     episode_seed: int | None = None
+    cause: str | None = None
 
     @property
     def finished(self) -> bool:

@@ -6,6 +6,7 @@ speaks about new pairs of the same kind; what new seeds would give is said besid
 each seed, and from three seeds on an interval over both. All functions are deterministic.
 """
 
+from collections import Counter
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
@@ -75,6 +76,19 @@ class Estimate:
             low, high = (100 * end for end in self.over_seeds)
             words.append(f"over pairs and seeds [{low:.1f}, {high:.1f}]")
         return words
+
+
+def causes(rows: Iterable[Row]) -> list[str]:
+    """Why policies gave no actions, the most frequent cause first, with how many rollouts it ended.
+
+    Args:
+        rows: Of any rollouts.
+    """
+    words = Counter(row.cause for row in rows if row.status == "policy" and row.cause)
+    return [
+        f"No actions in {n} rollout{'s' if n > 1 else ''}: {cause}"
+        for cause, n in words.most_common()
+    ]
 
 
 def wilson(successes: float, n: int) -> tuple[float, float]:

@@ -12,6 +12,7 @@ from jaxcam.errors import DatasetError
 from jaxcam.files.jsonl import read_jsonl
 from jaxcam.files.paths import absolute, read_text
 from jaxcam.results.rows import Row
+from jaxcam.runs.foreign import ForeignRecord, has_foreign, read_foreign
 from jaxcam.runs.identity import read_config
 
 _OF_RUN = ("task", "scene", "policy", "conditioning", "seed")
@@ -45,15 +46,15 @@ def read_run_rows(run: Path) -> list[Row]:
     Raises:
         DatasetError: A row is of other settings, weights or pairs than the run's, or a rollout has
             two outcomes.
-        ConfigError: The run's config.json is damaged.
+        ConfigError: The run's config.json, or a foreign policy's foreign.json, is damaged.
     """
     run = absolute(run)
     rows = read_rows(rows_file(run))
     if not rows:
         return []
-    config = read_config(run) if (run / "config.json").is_file() else None
+    config = _said_of(run)
     known = OneRun(
-        {step: stored_weights(run, step) for step in {row.step for row in rows}},
+        {step: _acted(run, step, config) for step in {row.step for row in rows}},
         {split: _stored_pairs(run, split) for split in {row.split for row in rows}},
     )
     for number, row in enumerate(rows, start=1):
@@ -156,7 +157,21 @@ def stored_weights(run: Path, step: int) -> str | None:
         return None
 
 
-def _settings(row: Row, config: TrainConfig | None) -> list[str]:
+def _said_of(run: Path) -> TrainConfig | ForeignRecord | None:
+    """What a folder says of whom its rows are; None where it says nothing."""
+    if (run / "config.json").is_file():
+        return read_config(run)
+    return read_foreign(run) if has_foreign(run) else None
+
+
+def _acted(run: Path, step: int, config: TrainConfig | ForeignRecord | None) -> str | None:
+    """The digest of what acts, as far as the folder says."""
+    if isinstance(config, ForeignRecord):
+        return config.weights_sha
+    return stored_weights(run, step)
+
+
+def _settings(row: Row, config: TrainConfig | ForeignRecord | None) -> list[str]:
     """In what a row is of other settings than its run."""
     if config is None:
         return []

@@ -6,7 +6,7 @@ that are done or have failed stay as they are.
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -22,13 +22,14 @@ from jaxcam.sim.task import Task
 from jaxcam.sim.types import Command, Start, State, View
 from jaxcam.sim.world import World
 
-_BEYOND = 1e6
+BEYOND = 1e6
 """No action is as large, in metres, radians or otherwise: simulators fail on such numbers, and
 that is the policy's failure."""
 
-PolicyCall = Callable[[dict[str, np.ndarray], int], np.ndarray]
-"""`act(obs, call)`: observations of all episodes and number of the call, to chunks [B, T, A]. MJX
-engines want a `jax.tree_util.Partial`, so that new weights need no new compilation."""
+PolicyCall = Callable[[dict[str, np.ndarray], int, np.ndarray], np.ndarray]
+"""`act(obs, call, active)`: observations of all episodes, number of the call, and which episodes go
+on [B], to chunks [B, T, A]; those of the others are not looked at. MJX engines want a
+`jax.tree_util.Partial`, so that new weights need no new compilation."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,9 @@ class Agent:
     ensembling: float = 0.0
     """Rate of temporal ensembling, see `jaxcam.sim.ensemble`: the policy is asked at every step; 0
     is off."""
+    causes: Mapping[int, str] = field(default_factory=dict[int, str])
+    """Why it gave no actions, by number of the episode in the batch, where it can say: filled while
+    it is asked."""
 
 
 @dataclass(frozen=True)
@@ -184,8 +188,8 @@ class _PolicyTurn:
         steps = [self._observe(one, start, inputs, active) for one in observed]
         obs = {name: xp.stack([step[name] for step in steps], 1) for name in steps[0]}
         obs = obs if self._past else steps[0]
-        chunk = self._chunk(xp.asarray(inputs.act(obs, call)), len(active))
-        acts = (xp.abs(chunk) < _BEYOND).all((1, 2))  # False for what is no number, too
+        chunk = self._chunk(xp.asarray(inputs.act(obs, call, active)), len(active))
+        acts = (xp.abs(chunk) < BEYOND).all((1, 2))  # False for what is no number, too
         # A world that is done sees black: its chunk is not used.
         progress = progress._replace(alive=progress.alive & (acts | ~active))
         chunk = xp.where(acts[:, None, None], chunk, 0)

@@ -172,11 +172,11 @@ def act_on_all_devices():
            "proprio": rng.normal(size=(8, SPEC.proprio_dim)).astype(np.float32)}  # fmt: skip
     params, root = tiny.init(jax.random.key(1)), jax.random.key(0)
     mesh = data_mesh(8, everywhere=False)
-    chunks = Acting(tiny.act, mesh)(copied(mesh, params), root, obs, jnp.int32(0))
+    chunks = Acting(tiny.act, mesh)(copied(mesh, params), root, obs, jnp.int32(0), None)
     assert len(chunks.sharding.device_set) == 4
     assert chunks.addressable_shards[0].data.shape[0] == 2
     np.testing.assert_allclose(
-        chunks, Acting(tiny.act)(params, root, obs, jnp.int32(0)), rtol=1e-5, atol=1e-5
+        chunks, Acting(tiny.act)(params, root, obs, jnp.int32(0), None), rtol=1e-5, atol=1e-5
     )
 
 

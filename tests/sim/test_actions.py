@@ -224,7 +224,7 @@ def test_collected_demonstrations_replay_in_every_space(space, lift, scene, rend
         np.tile(intrinsics(45, renderer.height), (count, 1, 1, 1)),
         demos.header.world_from_camera[[d.cameras[:1] for d in episodes]],
     )
-    agent = Agent(lambda obs, call: moves[:, call * chunk : (call + 1) * chunk], space)
+    agent = Agent(lambda obs, call, active: moves[:, call * chunk : (call + 1) * chunk], space)
     done = rollout(agent, lift, engine, renderer, episodes)
     assert done.success.all()
     assert done.ok.all()

@@ -140,7 +140,7 @@ def test_a_rollout_executes_means_of_absolute_targets(lift, scene, renderer):
     chunks, rate = near(lift, scene), 0.3
     engine = Recorder(scene, "osc_pose", lift.varied)
     roll(
-        lambda obs, call: chunks[call], engine, lift, scene, renderer, "eef_abs_world",
+        lambda obs, call, active: chunks[call], engine, lift, scene, renderer, "eef_abs_world",
         execute=CHUNK, ensembling=rate,
     )  # fmt: skip
     assert len(engine.commands) == HORIZON
@@ -166,7 +166,7 @@ def test_means_are_of_rotations_whatever_they_are_counted_from(lift, scene, rend
         engine = Recorder(scene, "osc_pose", lift.varied)
         act = iter(numbers)
         roll(
-            lambda obs, call, act=act: next(act), engine, lift, scene, renderer, space,
+            lambda obs, call, active, act=act: next(act), engine, lift, scene, renderer, space,
             execute=CHUNK, ensembling=0.3,
         )  # fmt: skip
         runs.append(np.stack([command.target for command in engine.commands]))
@@ -184,14 +184,14 @@ def test_agreeing_deltas_give_what_open_loop_gives(lift, scene, renderer, space)
     runs = []
     for how in ({"execute": 2}, {"execute": CHUNK, "ensembling": 0.01}):
         engine = Recorder(scene, controller, lift.varied)
-        done = roll(lambda obs, call: step, engine, lift, scene, renderer, space, **how)
+        done = roll(lambda obs, call, active: step, engine, lift, scene, renderer, space, **how)
         runs.append(done.qpos)
     np.testing.assert_allclose(runs[1], runs[0], atol=1e-6)
 
 
 def test_a_compiled_rollout_is_the_same(lift, scene, renderer):
     chunks = near(lift, scene).astype(np.float32)
-    act = Partial(lambda chunks, obs, call: chunks[call], jnp.asarray(chunks))
+    act = Partial(lambda chunks, obs, call, active: chunks[call], jnp.asarray(chunks))
     how = {"execute": CHUNK, "ensembling": 0.3}
     qpos = [
         roll(act, engine, lift, scene, renderer, "eef_abs_world", **how).qpos

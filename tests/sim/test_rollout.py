@@ -47,7 +47,7 @@ def replay(demos, scene):
                 actions = demo_actions(demo, "eef_delta", scene)
                 moves[i, : len(actions)] = actions
                 moves[i, len(actions) :, -1] = 1
-        return lambda obs, call: moves[:, call * CHUNK : (call + 1) * CHUNK]
+        return lambda obs, call, active: moves[:, call * CHUNK : (call + 1) * CHUNK]
 
     return policy
 
@@ -74,8 +74,8 @@ def test_a_policy_that_returns_nan_loses_its_own_episode_only(run, replay, demos
     demo = demos.train[0]
     healthy = replay([demo, None])
 
-    def act(obs, call):
-        chunk = healthy(obs, call).copy()
+    def act(obs, call, active):
+        chunk = healthy(obs, call, active).copy()
         if call == 1:
             chunk[1, 3, 2] = np.nan
         return chunk
@@ -93,8 +93,8 @@ def test_nan_after_success_does_not_undo_it(run, replay, demos):
     healthy = replay([demo, None])
     first = int(run(replay([demo]), [demo.seed]).steps[0])
 
-    def act(obs, call):
-        chunk = healthy(obs, call).copy()
+    def act(obs, call, active):
+        chunk = healthy(obs, call, active).copy()
         if call * CHUNK >= first:
             chunk[0] = np.nan
         return chunk
@@ -108,7 +108,7 @@ def test_nan_after_success_does_not_undo_it(run, replay, demos):
 def test_horizon_cuts_and_chunks_are_executed_open_loop(run, execute, calls):
     called = []
 
-    def act(obs, call):
+    def act(obs, call, active):
         called.append(call)
         return np.tile(np.array([0.01, 0, 0, 0, 0, 0, -1.0]), (2, CHUNK, 1))
 
@@ -123,7 +123,7 @@ def test_what_the_policy_sees(run, lift, scene, renderer):
     seeds, views = [3, 1], 2
     observed = []
 
-    def act(obs, call):
+    def act(obs, call, active):
         observed.append(obs)
         return np.zeros((2, 4, 7))
 
@@ -147,7 +147,7 @@ def test_what_the_policy_sees(run, lift, scene, renderer):
 def test_several_observations_are_of_the_steps_before(run, scene, renderer, obs_steps, execute):
     observed = []
 
-    def act(obs, call):
+    def act(obs, call, active):
         observed.append(obs)
         return np.tile(np.array([0.02, 0, 0, 0, 0, 0, -1.0]), (2, CHUNK, 1))
 

@@ -151,7 +151,7 @@ def test_the_expert_and_a_policy_run_as_in_mujoco(push, world, engine, start):
     assert all(demo is not None for demo in demos)
     asked = []
 
-    def act(obs, call):
+    def act(obs, call, active):
         asked.append(obs)
         return np.zeros((WORLDS, 50, 7))
 

@@ -174,7 +174,7 @@ class ShortLift(Lift):
     horizon = 3
 
 
-def by_sight(gain, obs, call):
+def by_sight(gain, obs, call, active):
     """Moves [B, 4, 7] that depend on all that a policy is shown, and on the turn."""
     colour = obs["image"].astype("float32").mean((1, 2, 3)) / 255  # [B, 3]
     where = obs["proprio"][:, 7:10] + obs["base_from_camera"][:, 0, :3, 3]
