@@ -18,6 +18,7 @@ NAMES = (
     "report",
     "sweep",
     "check",
+    "trial",
     "weights",
     "robomimic",
     "maniskill",

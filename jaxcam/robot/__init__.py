@@ -1,0 +1,1 @@
+"""Real robots: calibration, the policy server, and trials as the paper did them."""
