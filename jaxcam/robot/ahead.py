@@ -117,10 +117,10 @@ class Ahead:
         """
         if self._observed.maxlen != 1:
             self._observed.append(self._observe())
-        if self._answer is None and self._next >= self._wanted_at - self._lead:
-            self._begin_to_ask()
         if self._answer is not None:
             self._take_in(self._answer)
+        if self._answer is None and self._next >= self._wanted_at - self._lead:
+            self._take_in(self._begin_to_ask())
         self._steps_since_asked += 1
         if self._next >= len(self._chunk):
             return self._hold()
@@ -153,13 +153,14 @@ class Ahead:
         """Steps that an answer is expected to take."""
         return max(self._gone, default=0)
 
-    def _begin_to_ask(self) -> None:
+    def _begin_to_ask(self) -> "Future[tuple[Mapping[str, Any], float]]":
         if self._observed.maxlen == 1:
             self._observed.append(self._observe())
         request = _stacked(self._observed)
         answer: Future[tuple[Mapping[str, Any], float]] = Future()
         threading.Thread(target=_answered, args=(answer, self._ask, request), daemon=True).start()
         self._answer, self._since_asked, self._steps_since_asked = answer, [], 0
+        return answer
 
     def _take_in(self, answer: "Future[tuple[Mapping[str, Any], float]]") -> None:
         """Go on with the chunk that was asked for, if it is there."""

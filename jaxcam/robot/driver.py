@@ -45,8 +45,12 @@ class Robot(Protocol):
         ...
 
     def observe(self) -> Mapping[str, Any]:
-        """What it sees now: `observation.images.<camera>` uint8 [H, W, 3] of all cameras, and
-        `observation.state` float32 [P]."""
+        """What it sees now.
+
+        Returns:
+            `observation.images.<camera>` uint8 [H, W, 3] of every camera of the sheet,
+            `observation.state` float32 [P], and what else the policies are to be sent.
+        """
         ...
 
     def act(self, action: np.ndarray) -> None:

@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator
 
 from websockets.sync.server import ServerConnection, serve
 
+from jaxcam.client import from_wire, to_wire
+
 
 @contextlib.contextmanager
 def socket_server(handler: Callable[[ServerConnection], None]) -> Iterator[str]:
@@ -18,3 +20,21 @@ def socket_server(handler: Callable[[ServerConnection], None]) -> Iterator[str]:
         finally:
             server.shutdown()
             thread.join(5)
+
+
+def answering(metadata, act):
+    """A handler that says what it is and answers each observation with a chunk, or with words."""
+
+    def handle(connection):
+        connection.send(to_wire(metadata))
+        for message in connection:
+            observation = from_wire(message)
+            if "__ctrl__" in observation:
+                connection.send(to_wire({"__ack__": observation["__ctrl__"]}))
+                continue
+            try:
+                connection.send(to_wire({"actions": act(observation)}))
+            except ValueError as error:
+                connection.send(str(error))
+
+    return handle

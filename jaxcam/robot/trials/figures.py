@@ -56,10 +56,8 @@ def stacked_bars(tasks: Sequence[tuple[str, Sequence[Bar]]]) -> Figure:
         axes.yaxis.set_major_formatter(percent())
         axes.grid(axis="x", visible=False)
         counts = {bar.whole.n for bar in bars}
-        small_print(
-            axes,
-            f"n = {min(counts)}" if len(counts) == 1 else f"n = {min(counts)} to {max(counts)}",
-        )
+        most = f" to {max(counts)}" if len(counts) > 1 else ""
+        small_print(axes, f"n = {min(counts)}{most}")
     patches = [Patch(color=BLUE, label="success"), Patch(color=HALF, label="half-success")]
     figure.legend(handles=patches, loc="outside lower center", ncols=2)
     return figure

@@ -13,7 +13,7 @@ _STEP = 0.2
 """Seconds after which Ctrl-C is heeded."""
 
 
-class QuitTrial(Exception):
+class QuitError(Exception):
     """The operator stops here."""
 
 
@@ -41,7 +41,7 @@ class Keyboard:
             question: What to print before it.
 
         Raises:
-            QuitTrial: The answer is `q`, or nothing more will come.
+            QuitError: The answer is `q`, or nothing more will come.
             Stopped: Ctrl-C.
         """
         self.pressed()
@@ -52,7 +52,7 @@ class Keyboard:
         line, newline, self._typed = self._typed.partition(b"\n")
         answer = line.decode(errors="replace").strip()
         if answer.lower() in ("q", "quit") or not (newline or answer):
-            raise QuitTrial
+            raise QuitError
         return answer
 
     def pressed(self) -> bool:

@@ -11,7 +11,7 @@ from rich.console import Console
 from jaxcam.errors import ConfigError
 from jaxcam.interrupts import Stopped
 from jaxcam.robot.driver import Scene
-from jaxcam.robot.trials.keyboard import Keyboard, QuitTrial
+from jaxcam.robot.trials.keyboard import Keyboard, QuitError
 from jaxcam.robot.trials.order import Rollout
 from jaxcam.robot.trials.policies import Served
 from jaxcam.robot.trials.rows import Outcome, TrialRow, append_row, done
@@ -71,7 +71,7 @@ class Session:
                     before = None
                     continue
                 self._run(turn)
-            except QuitTrial:
+            except QuitError:
                 return False
             before = rollout
         return True
@@ -99,9 +99,7 @@ class Session:
     def _ready(self, rollout: Rollout) -> Turn | None:
         """The rollout with what it needs, when the operator is ready; None if he goes back."""
         while True:
-            answer = self.keyboard.ask(
-                "  Enter: begin.  b: rate the last one again.  q: stop here."
-            )
+            answer = self.keyboard.ask("  Enter: begin.  b: run the last one again.  q: stop.")
             if answer.lower() in ("b", "back"):
                 return self._back()
             turn, lacking = self._turn(rollout)
@@ -158,7 +156,7 @@ class Session:
             self._say(f"  What ended it: {ran.fault}")
         try:
             outcome, comment = self._rated(ran)
-        except (Stopped, QuitTrial):
+        except (Stopped, QuitError):
             self._keep(rollout, ran, "redo", "stopped before it was rated", told)
             raise
         self._keep(rollout, ran, outcome, comment, told)

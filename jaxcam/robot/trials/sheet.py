@@ -58,7 +58,7 @@ class CamerasEntry:
     file: str | None = None
     """Their calibrations, as docs/calibrated-datasets.md has them; the policies are told them."""
     placements: tuple[str | int, ...] = ()
-    """Where the cameras stand: names of episodes in that file. They never move if there are none."""
+    """Where the cameras stand: names of episodes in that file. Without any they never move."""
 
 
 @dataclass(frozen=True)
@@ -188,8 +188,8 @@ def _check(sheet: Sheet, where: str) -> None:
     for policy in sheet.policies:
         if urlsplit(policy.url).scheme not in ("ws", "wss"):
             raise ConfigError(
-                f"{where}: policy {policy.name!r}: url {policy.url!r:.80} is no address of a policy "
-                "server. Expected one such as ws://127.0.0.1:8000."
+                f"{where}: policy {policy.name!r}: url {policy.url!r:.80} is no address of a "
+                "policy server. Expected one such as ws://127.0.0.1:8000."
             )
         if policy.execute is not None and policy.execute < 1:
             raise ConfigError(f"{where}: policy {policy.name!r}: execute must be at least 1.")
