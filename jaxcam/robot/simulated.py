@@ -33,7 +33,8 @@ class SimulatedLift:
         action_space: Of the policies.
         rotations: What the rotation vectors of `eef_abs` are counted from.
         scene: `fixed` or `randomized`.
-        speed: How much faster than real time it runs; the rate of the control steps grows with it.
+        speed: How much faster than real time it runs; 0 is as fast as it can, and time then stands
+            still while a policy thinks.
     """
 
     def __init__(
@@ -46,10 +47,9 @@ class SimulatedLift:
         if action_space not in get_args(ActionSpace):
             hint = closest(str(action_space), get_args(ActionSpace))
             raise ConfigError(f"robot_settings: unknown action_space {action_space!r}{hint}")
-        if not isinstance(speed, int | float) or not 0 < speed <= 100:
-            raise ConfigError(f"robot_settings: speed must be more than 0 to 100, got {speed!r}.")
-        self.rate = RATE * speed
-        """Control steps a second."""
+        if not isinstance(speed, int | float) or not 0 <= speed <= 100:
+            raise ConfigError(f"robot_settings: speed must be 0 to 100, got {speed!r}.")
+        self.rate, self.speed = RATE, speed
         self._task = make_task("lift")
         self._world = self._task.scene(scene)
         self._space = space_of(action_space, rotations)
@@ -71,9 +71,7 @@ class SimulatedLift:
             ConfigError: The cameras are not calibrated, or are for pictures of several sizes.
         """
         if not scene.cameras:
-            raise ConfigError(
-                "The simulated robot films by calibrations: give cameras a file."
-            )
+            raise ConfigError("The simulated robot films by calibrations: give cameras a file.")
         seed = SPLITS["test"].episodes + scene.start
         start = self._task.start(self._world, seed)
         self._start = type(start)(*(np.asarray(x)[None] for x in start))
@@ -134,12 +132,12 @@ class SimulatedLift:
 
     def _pictures(self, state: State) -> np.ndarray:
         """What all cameras see, in their order, uint8 [V, H, W, 3]."""
-        K, sizes, base_from_camera = (np.stack(x) for x in zip(*self._cameras.values(), strict=True))
+        K, sizes, base_from_camera = (
+            np.stack(x) for x in zip(*self._cameras.values(), strict=True)
+        )
         count, size = len(K), tuple(map(int, sizes[0]))
         if self._painter is None or (self._painter.height, self._painter.width) != size:
-            self._painter = Renderer(
-                self._world, *size, varied=self._task.varied, batch=count
-            )
+            self._painter = Renderer(self._world, *size, varied=self._task.varied, batch=count)
         view = View(
             qpos=np.repeat(state.qpos, count, 0),
             geom_size=np.repeat(self._start.geom_size, count, 0),

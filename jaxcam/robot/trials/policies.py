@@ -12,6 +12,8 @@ from jaxcam.robot.trials.sheet import PolicyEntry, Sheet
 
 ALIKE = ("task", "views", "state_names", "action_names", "action_space", "rotations", "rate")
 """What servers say of themselves that policies of one sheet have in common: one robot, one task."""
+PATIENCE = 3.0
+"""Seconds to wait for a server that is not there."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,7 @@ class Served:
         Raises:
             PortError: It is gone.
         """
-        return Client(self.entry.url, key=self.key, timeout=timeout, patience=3.0)
+        return Client(self.entry.url, key=self.key, timeout=timeout, patience=PATIENCE)
 
 
 def ask_policies(sheet: Sheet, folder: Path) -> list[Served]:
@@ -65,7 +67,7 @@ def ask_policies(sheet: Sheet, folder: Path) -> list[Served]:
     for entry in sheet.policies:
         key = _key(entry, folder)
         try:
-            with Client(entry.url, key=key, timeout=10.0, patience=3.0) as client:
+            with Client(entry.url, key=key, timeout=10.0, patience=PATIENCE) as client:
                 served.append(Served(entry, key, dict(client.metadata)))
         except PortError as error:
             hint = "" if key else " If it asks for a key, give key_file."

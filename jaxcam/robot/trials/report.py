@@ -121,18 +121,18 @@ def _rate(estimate: Estimate) -> str:
 
 
 def _differences(trial: Trial) -> Table:
-    """Each policy against each that comes before it in the sheet."""
+    """Each policy minus each that comes after it in the sheet."""
     sheet, planned = trial.sheet, trial.planned
     both = shared(planned, done(trial.rows))
     lines = []
     for first, second in itertools.combinations(range(len(sheet.policies)), 2):
         for threshold, words in _THRESHOLDS:
-            a, b = (counted(sheet, planned, both, i, threshold) for i in (second, first))
+            a, b = (counted(sheet, planned, both, i, threshold) for i in (first, second))
             difference = paired_difference(a, b)
             value, low, high = (
                 100 * x for x in (difference.value, difference.low, difference.high)
             )
-            names = f"{sheet.policies[second].name} − {sheet.policies[first].name}"
+            names = f"{sheet.policies[first].name} − {sheet.policies[second].name}"
             points = f"{value:+.0f} [{low:+.0f}, {high:+.0f}]" if a else "–"
             p_value = p_text(difference.p_value).removeprefix("= ") if a else "–"
             lines.append([names, words, points, p_value, str(len(a))])

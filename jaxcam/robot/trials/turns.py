@@ -1,7 +1,6 @@
 """A rollout that is about to be run, what came of it, and what runs it where we drive the robot."""
 
 import logging
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol, get_args
@@ -100,25 +99,26 @@ class Driven:
 
     def run(self, turn: Turn, is_over: Callable[[], bool]) -> Ran:
         """Run one, see `Runner`. The robot is stopped after it, whatever happens."""
-        robot, began, fault, numbers = self._robot, time.monotonic(), "", ""
+        robot, fault, lateness, steps = self._robot, "", "", 0
         try:
             robot.stop()
             robot.prepare(turn.scene)
             with turn.served.connect() as client:
                 client.reset()
-                ahead, pace = self._ahead(turn, client), Pace(robot.rate)
-                began = time.monotonic()
+                ahead, speed = self._ahead(turn, client), self._speed
+                pace = Pace(robot.rate * speed) if speed else None
                 try:
                     with ahead:
-                        while time.monotonic() - began < turn.seconds and not is_over():
+                        while steps < turn.seconds * robot.rate and not is_over():
                             action = ahead.action()
                             _ = robot.hold() if action is None else robot.act(action)
+                            steps += 1
                             if self._outcome() == "success":
                                 break
-                            pace.wait()
+                            _ = pace and pace.wait()
                 finally:
                     robot.stop()
-                    numbers = f"{ahead.lateness}; {pace}"
+                    lateness = f"{ahead.lateness}; {pace}" if pace else str(ahead.lateness)
         except PortError as error:
             fault = turn.blinded(error)
         except Exception as error:  # the robot's own code: it may raise anything
@@ -126,7 +126,7 @@ class Driven:
             fault = f"the robot: {type(error).__name__}: {error}"
         finally:
             robot.stop()
-        return Ran(time.monotonic() - began, fault, numbers, self._outcome())
+        return Ran(steps / robot.rate, fault, lateness, self._outcome())
 
     def _ahead(self, turn: Turn, client: Client) -> Ahead:
         told_by_server = turn.served.metadata
@@ -137,8 +137,13 @@ class Driven:
             execute=turn.served.execute,
             space=str(told_by_server.get("action_space") or ""),
             steps=steps if isinstance(steps, int) and steps > 1 else 1,
-            wait=min(0.005, 0.1 / self._robot.rate),
+            wait=0.1 / (self._robot.rate * self._speed) if self._speed else None,
         )
+
+    @property
+    def _speed(self) -> float:
+        """How much faster than real time the robot is; 0 where time is only simulated."""
+        return float(getattr(self._robot, "speed", 1.0))
 
     def _outcome(self) -> Outcome | None:
         """What the robot says of how it went, if it can."""
