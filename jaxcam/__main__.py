@@ -13,6 +13,7 @@ from jaxcam.errors import ConfigError, closest
 NAMES = (
     "train",
     "evaluate",
+    "serve",
     "collect",
     "replay",
     "report",

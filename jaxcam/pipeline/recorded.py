@@ -33,6 +33,7 @@ from jaxcam.results.actions import ActionErrors
 from jaxcam.runs.action_errors import errors_file, read_errors
 from jaxcam.runs.folder import RunDir
 from jaxcam.runs.identity import RECORDED, policy_preset
+from jaxcam.runs.interface import Interface
 from jaxcam.runs.metrics import read_metrics
 from jaxcam.training.state import TrainState
 
@@ -139,6 +140,17 @@ class Recorded:
     def sizes(self, config: TrainConfig) -> tuple[int, int]:
         """Numbers of an action, and of what the robot feels."""
         return len(self.recording.action_names), len(self.recording.state_names)
+
+    def interface(self, config: TrainConfig) -> Interface:
+        """What a policy of the dataset is shown and answers, in the dataset's words."""
+        recording = self.recording
+        return Interface(
+            tuple(v for v in recording.views if v not in config.hold_out_view),
+            recording.state_names,
+            recording.action_names,
+            recording.rate,
+            self.prompt,
+        )
 
     def parts(self, config: TrainConfig) -> Parts:
         """Its demonstrations, for training and for validation."""

@@ -25,6 +25,7 @@ from jaxcam.reports.run_page import write_report
 from jaxcam.reports.style import save
 from jaxcam.results.stats import Estimate
 from jaxcam.runs.folder import RunDir
+from jaxcam.runs.interface import Interface, simulated_interface
 from jaxcam.runs.metrics import read_metrics
 from jaxcam.runs.rollouts import read_rows, rows_file
 from jaxcam.sim import engine_name, make_task
@@ -77,6 +78,10 @@ class Simulated:
     def sizes(self, config: TrainConfig) -> tuple[int, int]:
         """Numbers of an action, and of what the robot feels."""
         return action_dim(config.action_space), PROPRIO_DIM
+
+    def interface(self, config: TrainConfig) -> Interface:
+        """What a policy of the task is shown and answers, by name."""
+        return simulated_interface(config)
 
     def dataset(self, configs: Sequence[TrainConfig], console: Console | None) -> Dataset:
         """What runs that differ in their seed are trained on; what is missing is made."""

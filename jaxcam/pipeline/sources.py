@@ -17,6 +17,7 @@ from jaxcam.pipeline.recorded import Recorded
 from jaxcam.pipeline.simulated import Simulated
 from jaxcam.runs.folder import RunDir
 from jaxcam.runs.identity import RECORDED
+from jaxcam.runs.interface import Interface
 from jaxcam.training.state import TrainState
 
 
@@ -38,6 +39,14 @@ class Source(Protocol):
 
     def sizes(self, config: TrainConfig) -> tuple[int, int]:
         """Numbers of an action, and of what the robot feels.
+
+        Args:
+            config: Resolved settings.
+        """
+        ...
+
+    def interface(self, config: TrainConfig) -> Interface:
+        """What a policy that has learned from them is shown and answers, by name.
 
         Args:
             config: Resolved settings.

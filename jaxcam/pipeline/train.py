@@ -25,6 +25,7 @@ from jaxcam.models.weights.load import Weights, load, record_weights
 from jaxcam.pipeline.sources import Source, source_of
 from jaxcam.runs.folder import RunDir
 from jaxcam.runs.identity import resolve
+from jaxcam.runs.interface import write_interface
 from jaxcam.training.checkpoint import checkpoint_steps
 from jaxcam.training.loggers import check_loggers
 from jaxcam.training.loop import Trainer
@@ -63,7 +64,9 @@ def _train(
     console: Console | None,
 ) -> int:
     """What `train` does once the run folders are its own."""
-    for run in runs:
+    for config, run in zip(configs, runs, strict=True):
+        if run:
+            write_interface(run.path, source.interface(config))
         if run and weights and not checkpoint_steps(run.path):
             record_weights(run.path, weights)
     dataset = source.dataset(configs, console)

@@ -1,1 +1,1 @@
-"""Real robots: calibration, the policy server, and trials as the paper did them."""
+"""Policies on robots: the server that they are asked over, calibration, and trials."""

@@ -13,7 +13,7 @@ from jaxcam.errors import ConfigError
 
 
 @dataclass(frozen=True)
-class Scene:
+class Setup:
     """How a rollout begins.
 
     Attributes:
@@ -42,7 +42,7 @@ class Robot(Protocol):
     rate: float
     """Control steps a second."""
 
-    def prepare(self, scene: Scene) -> None:
+    def prepare(self, setup: Setup) -> None:
         """Bring the robot to where rollouts start; the operator has put the objects there."""
         ...
 

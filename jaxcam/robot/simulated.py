@@ -12,7 +12,7 @@ import numpy as np
 from jaxcam.config.names import ActionSpace, Rotations, SceneName
 from jaxcam.data.splits import SPLITS
 from jaxcam.errors import ConfigError, closest
-from jaxcam.robot.driver import Scene
+from jaxcam.robot.driver import Setup
 from jaxcam.sim import make_engine, make_task
 from jaxcam.sim.actions import action_dim, controller_of, decode, measured, space_of
 from jaxcam.sim.mujoco.render import Renderer
@@ -61,24 +61,24 @@ class SimulatedLift:
         self._state: State | None = None
         self._lowest, self._raised, self._success = 0.0, 0.0, False
 
-    def prepare(self, scene: Scene) -> None:
+    def prepare(self, setup: Setup) -> None:
         """Put arm and cube at a start, and the cameras where the sheet has them.
 
         Args:
-            scene: The start.
+            setup: The start.
 
         Raises:
             ConfigError: The cameras are not calibrated, or are for pictures of several sizes.
         """
-        if not scene.cameras:
+        if not setup.cameras:
             raise ConfigError("The simulated robot films by calibrations: give cameras a file.")
-        seed = SPLITS["test"].episodes + scene.start
+        seed = SPLITS["test"].episodes + setup.start
         start = self._task.start(self._world, seed)
         self._start = type(start)(*(np.asarray(x)[None] for x in start))
         self._state = self._engine.reset(self._start)
         self._target = measured(self._space, self._state, self._world.arm)
         self._gripper = np.asarray(self._state.closed)
-        self._cameras, self._success = scene.cameras, False
+        self._cameras, self._success = setup.cameras, False
         self._lowest, self._raised = self._cube_height(), 0.0
 
     def observe(self) -> Mapping[str, Any]:

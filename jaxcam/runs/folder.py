@@ -29,7 +29,7 @@ MIN_FREE = 500_000_000
 
 WRITTEN = (
     "checkpoints", "metrics.jsonl", "command.txt", "env.txt", "git.txt", "weights.json", "damaged",
-    "report.html", "diverged.npz", "eval", "plots", "pictures", "videos",
+    "report.html", "diverged.npz", "eval", "plots", "pictures", "videos", "interface.json",
 )  # fmt: skip
 """What a run writes into its folder beside its config.json, which comes first."""
 

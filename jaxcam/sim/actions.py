@@ -26,9 +26,12 @@ from jaxcam.rays.rotations import (
     rotvec_from_matrix,
 )
 from jaxcam.sim.types import ControllerName, State
+from jaxcam.sim.world import JOINTS
 
 ACTION_SPACES = ("eef_delta", "eef_abs", "joint_delta", "joint_abs")
 """The paper's four; the authors' component-wise differencing is a fifth, to reproduce them."""
+POSE = ("x", "y", "z", "rx", "ry", "rz")
+"""Names of a grip's position and rotation vector."""
 
 
 def space_of(name: str, rotations: Rotations) -> str:
@@ -63,7 +66,12 @@ def controller_of(space: str) -> ControllerName:
 
 def action_dim(space: str) -> int:
     """Size of an action, gripper included."""
-    return 8 if is_joint(space) else 7
+    return len(action_names(space))
+
+
+def action_names(space: str) -> tuple[str, ...]:
+    """Names of the numbers of an action, the gripper's last."""
+    return (*(JOINTS if is_joint(space) else POSE), "gripper")
 
 
 def measured(space: str, state: State, arm: np.ndarray) -> Array:

@@ -11,8 +11,12 @@ from jaxcam.errors import ConfigError, closest
 from jaxcam.rays.rotations import Array, array_namespace
 from jaxcam.sim.simulators import SimulatorName
 
-PROPRIO_DIM = 11
-"""Numbers that the robot feels, see `World.proprio`."""
+JOINTS = tuple(f"joint_{i}" for i in range(1, 8))
+"""Names of the arm's joints."""
+STATE_NAMES = (*JOINTS, "grip_x", "grip_y", "grip_z", "opening")
+"""Names of the numbers that the robot feels, see `World.proprio`."""
+PROPRIO_DIM = len(STATE_NAMES)
+"""How many they are."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

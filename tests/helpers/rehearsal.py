@@ -37,7 +37,7 @@ def lifter(task, world, start=0):
 
     def act(observation):
         grip = observation["observation.state"][7:10]
-        above, at, up = cube + [0, 0, 0.08], cube + [0, 0, -0.004], cube + [0, 0, 0.09]
+        above, at, up = (cube + np.array([0, 0, height]) for height in (0.08, -0.004, 0.09))
         way, closes = [grip], []
         for end, steps, close in ((above, 22, -1), (at, 14, -1), (at, 8, 1), (up, 20, 1)):
             begin = way[-1]

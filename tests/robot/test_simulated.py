@@ -7,7 +7,7 @@ from rehearsal import CAMERAS, lifter, rester
 from jaxcam.errors import ConfigError
 from jaxcam.interop.cameras.files import read_cameras
 from jaxcam.rays import Camera
-from jaxcam.robot.driver import Scene
+from jaxcam.robot.driver import Setup
 from jaxcam.robot.simulated import SimulatedLift
 
 NAMES = ("first", "second", "third")
@@ -25,7 +25,7 @@ def scene(placement, start=0):
         entry = file.of((placement,), (name,))
         K = entry.optics.at(SIDE, SIDE, name)
         cameras[name] = (K, (SIDE, SIDE), entry.pose.of((placement,)))
-    return Scene(start, "", placement, cameras)
+    return Setup(start, "", placement, cameras)
 
 
 def test_the_cube_is_where_its_cameras_say(robot, lift):
@@ -80,7 +80,7 @@ def test_what_it_cannot_do_is_refused(robot):
     with pytest.raises(ConfigError, match="speed must be"):
         SimulatedLift(speed=-1)
     with pytest.raises(ConfigError, match="give cameras a file"):
-        robot.prepare(Scene(0, "", "", {}))
+        robot.prepare(Setup(0, "", "", {}))
     robot.prepare(scene("1"))
     with pytest.raises(ConfigError, match=r"shape \[8\]; eef_delta has 7"):
         robot.act(np.zeros(8))

@@ -25,12 +25,9 @@ from jaxcam.files.locks import exclusive
 from jaxcam.files.paths import home
 from jaxcam.files.whole import whole
 from jaxcam.interop.lerobot.format import VERSION, Writer, feature, video_feature, write_meta
-from jaxcam.sim.actions import is_absolute, is_joint
+from jaxcam.sim.actions import action_names, is_absolute, is_joint
 from jaxcam.sim.controllers import CONTROL_HZ
-from jaxcam.sim.world import World
-
-POSE = ("x", "y", "z", "rx", "ry", "rz")
-JOINTS = tuple(f"joint_{i}" for i in range(1, 8))
+from jaxcam.sim.world import STATE_NAMES, World
 
 
 def export_dataset(config: LerobotConfig, console: Console | None = None) -> Path:
@@ -139,8 +136,7 @@ def _meaning(space: str) -> str:
 
 def _features(config: LerobotConfig, data: Dataset, views: list[str]) -> dict[str, Any]:
     """LeRobot's description of every column and video that is ours."""
-    action = [*(JOINTS if is_joint(config.action_space) else POSE), "gripper"]
-    state = [*JOINTS, "grip_x", "grip_y", "grip_z", "opening"]
+    action, state = list(action_names(config.action_space)), list(STATE_NAMES)
     features = {
         "observation.state": feature("float32", data.proprio.shape[-1:], state),
         "action": feature("float32", data.actions.shape[-1:], action),

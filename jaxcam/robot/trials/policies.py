@@ -10,7 +10,16 @@ from jaxcam.errors import ConfigError, PortError
 from jaxcam.files.paths import read_text
 from jaxcam.robot.trials.sheet import PolicyEntry, Sheet
 
-ALIKE = ("task", "views", "state_names", "action_names", "action_space", "rotations", "rate")
+ALIKE = (
+    "task",
+    "views",
+    "views_at_once",
+    "state_names",
+    "action_names",
+    "action_space",
+    "rotations",
+    "rate",
+)
 """What servers say of themselves that policies of one sheet have in common: one robot, one task."""
 PATIENCE = 3.0
 """Seconds to wait for a server that is not there."""
@@ -28,6 +37,12 @@ class Served:
     def views(self) -> tuple[str, ...]:
         """What it calls what it sees; empty if it does not say."""
         return tuple(map(str, self.metadata.get("views") or ()))
+
+    @property
+    def views_at_once(self) -> int:
+        """How many of them it sees; 0 if it does not say."""
+        given = self.metadata.get("views_at_once")
+        return given if isinstance(given, int) else len(self.views)
 
     @property
     def execute(self) -> int | None:
@@ -108,10 +123,11 @@ def _check_alike(served: Sequence[Served]) -> None:
 def _check_cameras(one: Served, sheet: Sheet) -> None:
     """Refuses a policy that sees another number of cameras, or is not told where they stand."""
     where = f"Policy {one.entry.name!r}"
-    if sheet.cameras is not None and one.views and len(one.views) != sheet.used:
+    if sheet.cameras is not None and one.views_at_once not in (0, sheet.used):
         raise ConfigError(
-            f"{where} sees {len(one.views)} views ({', '.join(one.views)}); the sheet uses "
-            f"{sheet.used} of its cameras. Set 'use' to {len(one.views)}, or serve another run."
+            f"{where} sees {one.views_at_once} views at once, of {', '.join(one.views)}; the sheet "
+            f"uses {sheet.used} of its cameras. Set 'use' to {one.views_at_once}, or serve another "
+            "run."
         )
     told_by_us = sheet.cameras is not None and sheet.cameras.file is not None
     if one.metadata.get("needs_cameras") and not one.metadata.get("cameras_given"):
@@ -125,3 +141,22 @@ def _check_cameras(one: Served, sheet: Sheet) -> None:
             f"{where} has the cameras of a file that its server was started with, and the sheet "
             "has a file too. Start the server without --cameras: the poses of this trial change."
         )
+
+
+def check_rate(rate: float, served: Sequence[Served]) -> None:
+    """Refuse policies that were trained at another rate than the robot's.
+
+    Args:
+        rate: Control steps a second of the robot.
+        served: The policies.
+
+    Raises:
+        ConfigError: One was.
+    """
+    for one in served:
+        given = one.metadata.get("rate")
+        if isinstance(given, int | float) and abs(given - rate) > 0.01 * rate:
+            raise ConfigError(
+                f"Policy {one.entry.name!r} gives {given:g} actions a second, and the robot takes "
+                f"{rate:g}. Its 'rate' must be that of the demonstrations."
+            )

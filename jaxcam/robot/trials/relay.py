@@ -18,7 +18,7 @@ from websockets.sync.server import ServerConnection, serve
 
 from jaxcam.client import MOST_BYTES, Client, from_wire, to_wire
 from jaxcam.errors import ConfigError, PortError
-from jaxcam.robot.trials.turns import Ran, Turn
+from jaxcam.robot.trials.attempts import Attempt, Ran
 
 SHOWN = (
     "task", "image_size", "state_names", "action_names", "action_space", "rotations", "rate",
@@ -40,7 +40,7 @@ class Relay:
     """
 
     def __init__(self, port: int) -> None:
-        self._turn: Turn | None = None
+        self._attempt: Attempt | None = None
         self._changed = threading.Condition()
         self._first: float | None = None
         self._fault, self._answers = "", 0
@@ -58,17 +58,17 @@ class Relay:
         self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
         self._thread.start()
 
-    def run(self, turn: Turn, is_over: Callable[[], bool]) -> Ran:
+    def run(self, attempt: Attempt, is_over: Callable[[], bool]) -> Ran:
         """Let loops ask for one rollout, see `Runner`; its time begins with the first question."""
         with self._changed:
-            self._turn, self._first, self._fault, self._answers = turn, None, "", 0
+            self._attempt, self._first, self._fault, self._answers = attempt, None, "", 0
             self._changed.notify_all()
         try:
-            while not is_over() and not self._has_run(turn.seconds):
+            while not is_over() and not self._has_run(attempt.seconds):
                 time.sleep(_STEP)
         finally:
             with self._changed:
-                self._turn = None
+                self._attempt = None
         taken = time.monotonic() - self._first if self._first is not None else 0.0
         fault = self._fault or ("" if self._answers else "no loop asked for actions")
         return Ran(taken, fault, f"{self._answers} answers")
@@ -84,24 +84,24 @@ class Relay:
     def _serve(self, connection: ServerConnection) -> None:
         """One connection of a loop: it waits for a rollout, and lasts for it."""
         with self._changed:
-            while self._turn is None:
+            while self._attempt is None:
                 self._changed.wait(_STEP)
                 if connection.state is not State.OPEN:
                     return
-            turn = self._turn
+            attempt = self._attempt
         with contextlib.suppress(ConnectionClosed):
             try:
-                with turn.served.connect() as client:
+                with attempt.served.connect() as client:
                     client.reset()
-                    connection.send(to_wire(_shown(turn)))
+                    connection.send(to_wire(_shown(attempt)))
                     for message in connection:
-                        connection.send(self._answer(turn, client, message))
+                        connection.send(self._answer(attempt, client, message))
             except (PortError, ConfigError) as error:
-                self._fault = turn.blinded(error)
+                self._fault = attempt.blinded(error)
                 connection.send(self._fault)
 
-    def _answer(self, turn: Turn, client: Client, message: str | bytes) -> str | bytes:
-        if turn is not self._turn:
+    def _answer(self, attempt: Attempt, client: Client, message: str | bytes) -> str | bytes:
+        if attempt is not self._attempt:
             return OVER
         self._first = self._first or time.monotonic()
         try:
@@ -112,25 +112,25 @@ class Relay:
                 if control == "episode_start":
                     client.reset()
                 return to_wire({"__ack__": control})
-            answer = turn.answer(client, content)
+            answer = attempt.answer(client, content)
         except PortError as error:
-            self._fault = turn.blinded(error)
+            self._fault = attempt.blinded(error)
             return self._fault
         self._answers += 1
         self._fault = ""  # the loop knew better after all
         return to_wire(answer)
 
 
-def _shown(turn: Turn) -> dict[str, Any]:
+def _shown(attempt: Attempt) -> dict[str, Any]:
     """What a loop is told of the policy, with the robot's names of cameras."""
-    metadata = turn.served.metadata
+    metadata = attempt.served.metadata
     shown = {name: metadata[name] for name in SHOWN if name in metadata}
-    shown |= {"views": [*turn.sight.cameras] or [*turn.served.views]}
-    if turn.served.execute:
-        shown["execute"] = turn.served.execute
+    shown |= {"views": [*attempt.sight.cameras] or [*attempt.served.views]}
+    if attempt.served.execute:
+        shown["execute"] = attempt.served.execute
     return shown | {
         "server": "jaxcam.trial",
-        "policy": turn.rollout.letter,
-        "rollout": turn.rollout.number,
+        "policy": attempt.rollout.letter,
+        "rollout": attempt.rollout.number,
         "controls": ["episode_start", "episode_end"],
     }

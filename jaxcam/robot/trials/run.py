@@ -2,7 +2,7 @@
 
 import contextlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +15,16 @@ from jaxcam.files.locks import InUseError, NamedLock
 from jaxcam.files.paths import absolute
 from jaxcam.files.whole import write_atomically
 from jaxcam.robot.driver import make_robot
+from jaxcam.robot.trials.attempts import Driven, Runner
 from jaxcam.robot.trials.keyboard import Keyboard
 from jaxcam.robot.trials.order import Rollout, rollouts
-from jaxcam.robot.trials.policies import ask_policies
+from jaxcam.robot.trials.policies import Served, ask_policies, check_rate
 from jaxcam.robot.trials.relay import Relay
 from jaxcam.robot.trials.report import Trial, write_report
 from jaxcam.robot.trials.rows import done, read_rows
-from jaxcam.robot.trials.session import Session, check_weights
+from jaxcam.robot.trials.session import TrialSession, check_weights
 from jaxcam.robot.trials.sheet import Sheet, read_sheet
 from jaxcam.robot.trials.sights import calibrations, read_calibrations
-from jaxcam.robot.trials.turns import Driven, Runner
 
 ROWS, SHEET, LOCK = "rows.jsonl", "sheet.json", "lock"
 
@@ -82,8 +82,8 @@ def _go(path: Path, trial: Trial, console: Console) -> bool:
         "in the report, at the end.",
         highlight=False, soft_wrap=True,
     )  # fmt: skip
-    with _runner(sheet, path.parent, console) as runner:
-        session = Session(
+    with _runner(sheet, path.parent, served, console) as runner:
+        session = TrialSession(
             sheet, path.parent, trial.folder / ROWS, planned, served, runner,
             Keyboard(console), console, [*trial.rows],
         )  # fmt: skip
@@ -91,9 +91,13 @@ def _go(path: Path, trial: Trial, console: Console) -> bool:
 
 
 @contextlib.contextmanager
-def _runner(sheet: Sheet, folder: Path, console: Console) -> Iterator[Runner]:
+def _runner(
+    sheet: Sheet, folder: Path, served: Sequence[Served], console: Console
+) -> Iterator[Runner]:
     if sheet.robot != "none":
-        yield Driven(make_robot(sheet.robot, sheet.robot_settings or {}, folder))
+        robot = make_robot(sheet.robot, sheet.robot_settings or {}, folder)
+        check_rate(robot.rate, served)
+        yield Driven(robot)
         return
     relay = Relay(sheet.listen)
     try:

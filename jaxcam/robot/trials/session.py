@@ -10,7 +10,8 @@ from rich.console import Console
 
 from jaxcam.errors import ConfigError
 from jaxcam.interrupts import Stopped
-from jaxcam.robot.driver import Scene
+from jaxcam.robot.driver import Setup
+from jaxcam.robot.trials.attempts import Attempt, Ran, Runner
 from jaxcam.robot.trials.keyboard import Keyboard, QuitError
 from jaxcam.robot.trials.order import Rollout
 from jaxcam.robot.trials.policies import Served
@@ -23,14 +24,13 @@ from jaxcam.robot.trials.sights import (
     read_calibrations,
     views_of,
 )
-from jaxcam.robot.trials.turns import Ran, Runner, Turn
 
 OUTCOMES: dict[str, Outcome] = {"s": "success", "h": "half", "f": "failure", "r": "redo"}
 """What the operator types, with or without the rest of the word."""
 
 
 @dataclass
-class Session:
+class TrialSession:
     """A trial that goes on.
 
     Attributes:
@@ -66,11 +66,11 @@ class Session:
         while (rollout := self._next()) is not None:
             self._announce(rollout, before)
             try:
-                turn = self._ready(rollout)
-                if turn is None:
+                attempt = self._ready(rollout)
+                if attempt is None:
                     before = None
                     continue
-                self._run(turn)
+                self._run(attempt)
             except QuitError:
                 return False
             before = rollout
@@ -96,15 +96,15 @@ class Session:
         start = self.sheet.starts[condition.start]
         self._say(f"  Start {condition.start + 1}: {start}")
 
-    def _ready(self, rollout: Rollout) -> Turn | None:
+    def _ready(self, rollout: Rollout) -> Attempt | None:
         """The rollout with what it needs, when the operator is ready; None if he goes back."""
         while True:
             answer = self.keyboard.ask("  Enter: begin.  b: run the last one again.  q: stop.")
             if answer.lower() in ("b", "back"):
                 return self._back()
-            turn, lacking = self._turn(rollout)
+            attempt, lacking = self._attempt(rollout)
             if not lacking:
-                return turn
+                return attempt
             for words in lacking:
                 self._say(f"  {words}.")
             self._say("  Calibrate the cameras, write it there, and press Enter.")
@@ -118,7 +118,7 @@ class Session:
         self._keep(self.planned[rated[-1].number - 1], Ran(0.0), "redo", "rated by mistake")
         self._say(f"  Rollout {rated[-1].number} is run again.")
 
-    def _turn(self, rollout: Rollout) -> tuple[Turn, list[str]]:
+    def _attempt(self, rollout: Rollout) -> tuple[Attempt, list[str]]:
         """A rollout with what it needs, and what of that is missing."""
         sheet, condition = self.sheet, rollout.condition
         served = self.served[rollout.policy]
@@ -137,16 +137,16 @@ class Session:
             for name, c in known.items()
         }
         start = condition.start
-        scene = Scene(start, sheet.starts[start], condition.placement, cameras)
-        return Turn(rollout, served, sight, scene, sheet.seconds), lacking
+        setup = Setup(start, sheet.starts[start], condition.placement, cameras)
+        return Attempt(rollout, served, sight, setup, sheet.seconds), lacking
 
-    def _run(self, turn: Turn) -> None:
+    def _run(self, attempt: Attempt) -> None:
         """Run a rollout, have it rated, and keep it."""
         self._say("  Running. Enter: end it.")
-        rollout, told = turn.rollout, _calibration(turn)
+        rollout, told = attempt.rollout, _calibration(attempt)
         self._tell_changed(rollout, told)
         try:
-            ran = self.runner.run(turn, self.keyboard.pressed)
+            ran = self.runner.run(attempt, self.keyboard.pressed)
         except Stopped:
             self._keep(rollout, Ran(0.0), "redo", "stopped while it ran")
             raise
@@ -243,7 +243,7 @@ def check_weights(
             )
 
 
-def _calibration(turn: Turn) -> dict[str, Any] | None:
+def _calibration(attempt: Attempt) -> dict[str, Any] | None:
     """What the policy is told of the cameras that are used, for the row."""
     told = {
         name: {
@@ -251,7 +251,7 @@ def _calibration(turn: Turn) -> dict[str, Any] | None:
             "size": [camera.optics.width, camera.optics.height],
             "base_from_camera": camera.base_from_camera.tolist(),
         }
-        for name, camera in turn.sight.known.items()
-        if name in turn.sight.views
+        for name, camera in attempt.sight.known.items()
+        if name in attempt.sight.views
     }
     return told or None

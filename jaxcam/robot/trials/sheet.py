@@ -54,7 +54,7 @@ class CamerasEntry:
     names: tuple[str, ...]
     """What the robot calls them."""
     use: int | None = None
-    """How many of them are used in a rollout, every choice in turn; all when None."""
+    """How many of them are used in a rollout, every choice in its turn; all when None."""
     file: str | None = None
     """Their calibrations, as docs/calibrated-datasets.md has them; the policies are told them."""
     placements: tuple[str | int, ...] = ()

@@ -148,6 +148,7 @@ def views_of(cameras: Sequence[str], views: Sequence[str]) -> dict[str, str]:
     """Which camera stands for which view of a policy.
 
     A camera that the policy knows by name is that view; the others take what is left, in order.
+    A policy may know more views than it sees at once.
 
     Args:
         cameras: That are used.

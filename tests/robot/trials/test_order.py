@@ -1,7 +1,7 @@
 """Who is tried when: balanced, paired, and the same for a seed."""
 
 from collections import Counter
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import pytest
 from hypothesis import given, settings
@@ -52,7 +52,7 @@ def test_all_policies_meet_the_same_conditions_one_after_the_other(some):
         assert len({r.condition for r in planned[i : i + count]}) == 1
         assert {r.policy for r in planned[i : i + count]} == set(range(count))
     places = [r.condition.placement for r in planned]
-    moves = 1 + sum(a != b for a, b in zip(places, places[1:], strict=False))
+    moves = 1 + sum(a != b for a, b in pairwise(places))
     assert moves == len(some.placements)  # cameras are heavy
 
 
@@ -69,7 +69,7 @@ def test_wherever_it_stops_nobody_was_first_more_often(some):
 
 def test_where_only_the_start_varies_each_start_is_repeated():
     met = conditions(sheet(cameras=None, repeats=3))
-    assert Counter(c.start for c in met) == Counter({i: 3 for i in range(4)})
+    assert Counter(c.start for c in met) == Counter(dict.fromkeys(range(4), 3))
     assert {(c.placement, c.cameras) for c in met} == {("", ())}
 
 

@@ -128,7 +128,7 @@ def test_the_order_is_printed_without_names(tmp_path, monkeypatch):
 
 def test_a_report_on_what_there_is(tmp_path, monkeypatch):
     path = sheet_for(tmp_path, ("ws://x:1", "ws://x:2"))
-    _, printed = run(path, "", monkeypatch, report=True)
+    run(path, "", monkeypatch, report=True)
     assert "12 of 12 rollouts are missing" in Page(tmp_path / "sheet.trial" / "report.html").text
     other = tmp_path / "other"
     other.mkdir()
@@ -204,9 +204,8 @@ def test_a_placement_that_is_not_calibrated_yet_is_waited_for(tmp_path, servers,
 
 def test_a_server_that_is_not_there(tmp_path, monkeypatch):
     small_cameras(tmp_path)
-    with (
-        socket_server(answering(METADATA, rester)) as url,
-        pytest.raises(PortError, match=f"Policy '{RESTS}' of the sheet: No policy server answers"),
-    ):
-        monkeypatch.setattr("jaxcam.robot.trials.policies.PATIENCE", 0.0)
-        run(sheet_for(tmp_path, (url, "ws://127.0.0.1:1")), "", monkeypatch)
+    monkeypatch.setattr("jaxcam.robot.trials.policies.PATIENCE", 0.0)
+    with socket_server(answering(METADATA, rester)) as url:
+        path = sheet_for(tmp_path, (url, "ws://127.0.0.1:1"))
+        with pytest.raises(PortError, match=f"Policy '{RESTS}' of the sheet: No policy server"):
+            run(path, "", monkeypatch)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any, Protocol, get_args
 
 from jaxcam.client import Client
-from jaxcam.errors import PortError
+from jaxcam.errors import JaxcamError, PortError
 from jaxcam.robot.ahead import Ahead, Pace
-from jaxcam.robot.driver import Robot, Scene
+from jaxcam.robot.driver import Robot, Setup
 from jaxcam.robot.trials.order import Rollout
 from jaxcam.robot.trials.policies import Served
 from jaxcam.robot.trials.rows import Outcome
@@ -18,21 +18,21 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Turn:
+class Attempt:
     """A rollout with all that it needs.
 
     Attributes:
         rollout: Of the order.
         served: The policy's server.
         sight: What the policy is sent.
-        scene: How it begins.
+        setup: How it begins.
         seconds: After which it is over.
     """
 
     rollout: Rollout
     served: Served
     sight: Sight
-    scene: Scene
+    setup: Setup
     seconds: float
 
     def answer(self, client: Client, observation: Mapping[str, Any]) -> dict[str, Any]:
@@ -77,14 +77,22 @@ class Ran:
 class Runner(Protocol):
     """Runs rollouts."""
 
-    def run(self, turn: Turn, is_over: Callable[[], bool]) -> Ran:
+    def run(self, attempt: Attempt, is_over: Callable[[], bool]) -> Ran:
         """Run one.
 
         Args:
-            turn: The rollout.
+            attempt: The rollout.
             is_over: Whether the operator wants it to end; raises `Stopped` at Ctrl-C.
         """
         ...
+
+
+@dataclass
+class _Played:
+    """How far a rollout came, also where it was broken off."""
+
+    steps: int = 0
+    lateness: str = ""
 
 
 class Driven:
@@ -97,47 +105,69 @@ class Driven:
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
 
-    def run(self, turn: Turn, is_over: Callable[[], bool]) -> Ran:
+    def run(self, attempt: Attempt, is_over: Callable[[], bool]) -> Ran:
         """Run one, see `Runner`. The robot is stopped after it, whatever happens."""
-        robot, fault, lateness, steps = self._robot, "", "", 0
+        robot, fault, played = self._robot, "", _Played()
         try:
             robot.stop()
-            robot.prepare(turn.scene)
-            with turn.served.connect() as client:
+            robot.prepare(attempt.setup)
+            with attempt.served.connect() as client:
                 client.reset()
-                ahead, speed = self._ahead(turn, client), self._speed
-                pace = Pace(robot.rate * speed) if speed else None
-                try:
-                    with ahead:
-                        while steps < turn.seconds * robot.rate and not is_over():
-                            action = ahead.action()
-                            _ = robot.hold() if action is None else robot.act(action)
-                            steps += 1
-                            if self._outcome() == "success":
-                                break
-                            _ = pace and pace.wait()
-                finally:
-                    robot.stop()
-                    lateness = f"{ahead.lateness}; {pace}" if pace else str(ahead.lateness)
-        except PortError as error:
-            fault = turn.blinded(error)
+                self._play(attempt, self._ahead(attempt, client), is_over, played)
+        except JaxcamError as error:
+            fault = attempt.blinded(error)
         except Exception as error:  # the robot's own code: it may raise anything
             _log.warning("The robot failed.", exc_info=True)
             fault = f"the robot: {type(error).__name__}: {error}"
         finally:
-            robot.stop()
-        return Ran(steps / robot.rate, fault, lateness, self._outcome())
+            fault = self._stop() or fault
+        return Ran(played.steps / robot.rate, fault, played.lateness, self._outcome())
 
-    def _ahead(self, turn: Turn, client: Client) -> Ahead:
-        told_by_server = turn.served.metadata
-        steps = told_by_server.get("observation_steps")
+    def _play(
+        self, attempt: Attempt, ahead: Ahead, is_over: Callable[[], bool], played: "_Played"
+    ) -> None:
+        """Control step after control step."""
+        robot, speed = self._robot, self._speed
+        pace = Pace(robot.rate * speed) if speed else None
+        with ahead:  # which waits a moment for an answer: the robot is stopped before
+            try:
+                while played.steps < attempt.seconds * robot.rate and not is_over():
+                    action = ahead.action()
+                    if action is None:
+                        robot.hold()
+                    else:
+                        robot.act(action)
+                    played.steps += 1
+                    if self._outcome() == "success":
+                        break
+                    if pace:
+                        pace.wait()
+            finally:
+                robot.stop()
+                played.lateness = f"{ahead.lateness}; {pace}" if pace else str(ahead.lateness)
+
+    def _stop(self) -> str:
+        """Stop the robot; what went wrong, if it does not."""
+        try:
+            self._robot.stop()
+        except Exception as error:  # the robot's own code
+            _log.warning("The robot did not stop.", exc_info=True)
+            return f"the robot did not stop: {type(error).__name__}: {error}"
+        return ""
+
+    def _ahead(self, attempt: Attempt, client: Client) -> Ahead:
+        told_by_server = attempt.served.metadata
+        steps, wait = told_by_server.get("observation_steps"), 0.1
+        if told_by_server.get("chunk") == 1:
+            wait = 0.8
         return Ahead(
-            lambda observation: turn.answer(client, observation),
+            lambda observation: attempt.answer(client, observation),
             self._robot.observe,
-            execute=turn.served.execute,
+            execute=attempt.served.execute,
             space=str(told_by_server.get("action_space") or ""),
             steps=steps if isinstance(steps, int) and steps > 1 else 1,
-            wait=0.1 / (self._robot.rate * self._speed) if self._speed else None,
+            # One action alone, as of a server that averages, cannot be asked for ahead.
+            wait=wait / (self._robot.rate * self._speed) if self._speed else None,
         )
 
     @property
