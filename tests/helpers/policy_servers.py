@@ -3,6 +3,7 @@
 import contextlib
 import threading
 from collections.abc import Callable, Iterator
+from typing import Any
 
 from websockets.sync.server import ServerConnection, serve
 
@@ -10,9 +11,9 @@ from jaxcam.client import from_wire, to_wire
 
 
 @contextlib.contextmanager
-def socket_server(handler: Callable[[ServerConnection], None]) -> Iterator[str]:
+def socket_server(handler: Callable[[ServerConnection], None], **how: Any) -> Iterator[str]:
     """A server that treats each connection with the handler; gives its address."""
-    with serve(handler, "127.0.0.1", 0, compression=None) as server:
+    with serve(handler, "127.0.0.1", 0, compression=None, **how) as server:
         thread = threading.Thread(target=server.serve_forever, daemon=True)
         thread.start()
         try:

@@ -17,7 +17,7 @@ from websockets.protocol import State
 from websockets.sync.server import ServerConnection, serve
 
 from jaxcam.client import MOST_BYTES, Client, from_wire, to_wire
-from jaxcam.errors import ConfigError, PortError
+from jaxcam.errors import ConfigError, JaxcamError
 from jaxcam.robot.trials.attempts import Attempt, Ran
 
 SHOWN = (
@@ -96,7 +96,7 @@ class Relay:
                     connection.send(to_wire(_shown(attempt)))
                     for message in connection:
                         connection.send(self._answer(attempt, client, message))
-            except (PortError, ConfigError) as error:
+            except JaxcamError as error:
                 self._fault = attempt.blinded(error)
                 connection.send(self._fault)
 
@@ -113,7 +113,7 @@ class Relay:
                     client.reset()
                 return to_wire({"__ack__": control})
             answer = attempt.answer(client, content)
-        except PortError as error:
+        except JaxcamError as error:
             self._fault = attempt.blinded(error)
             return self._fault
         self._answers += 1

@@ -47,7 +47,7 @@ def calibrations(
         entry: Entry = file.of((placement,), (name,))
         pose = entry.pose.of((placement,)) if entry.pose else None
         if entry.optics is None or pose is None or pose.ndim != 2:
-            part = "K" if entry.optics is None else "one pose"
+            part = "K" if entry.optics is None else "single pose"
             at = f" at placement {placement!r}" if placement else ""
             lacking.append(f"{file.path} has no {part} of the camera {name!r}{at}")
         else:

@@ -1,0 +1,80 @@
+"""The policy servers of a sheet: there, and comparable."""
+
+import contextlib
+
+import pytest
+from policy_servers import answering, socket_server
+from rehearsal import rester
+
+from jaxcam.errors import ConfigError, PortError
+from jaxcam.robot.trials.policies import Served, ask_policies, check_rate
+from jaxcam.robot.trials.sheet import CamerasEntry, PolicyEntry, Sheet
+
+METADATA = {"views": ["a", "b"], "action_names": ["x"], "action_space": "eef_abs", "execute": 5}
+
+
+def sheet(urls, **changes):
+    entries = tuple(PolicyEntry(f"p{i}", url) for i, url in enumerate(urls))
+    entries = changes.pop("policies", entries)
+    values = {"cameras": CamerasEntry(("l", "r", "t"), 2)} | changes
+    return Sheet("t", "s", "h", entries, ("start",), **values)
+
+
+def asked(tmp_path, *metadata, **changes):
+    with contextlib.ExitStack() as servers:
+        urls = [servers.enter_context(socket_server(answering(m, rester))) for m in metadata]
+        return ask_policies(sheet(urls, **changes), tmp_path)
+
+
+def test_what_servers_say_of_themselves(tmp_path):
+    one, two = asked(tmp_path, METADATA, {})  # another's server may say nothing
+    assert (one.views, one.views_at_once, one.execute) == (("a", "b"), 2, 5)
+    assert (two.views, two.views_at_once, two.execute, two.weights_sha) == ((), 0, None, "")
+
+
+@pytest.mark.parametrize(
+    ("other", "words"),
+    [
+        ({"action_names": ["y"]}, r"action_names of 'p0' is \['x'\], of 'p1' it is \['y'\]"),
+        ({"action_space": "joint_abs"}, "action_space of 'p0' is eef_abs"),
+        ({"views": ["a", "c"]}, r"views of 'p0' is \['a', 'b'\]"),
+        ({"views_at_once": 1}, "'p1' sees 1 views at once, of a, b; the sheet uses 2"),
+        ({"needs_cameras": True}, "'p1' is told where its cameras are, and the sheet has no cal"),
+    ],
+)
+def test_policies_that_do_not_go_together(tmp_path, other, words):
+    with pytest.raises(ConfigError, match=words):
+        asked(tmp_path, METADATA, METADATA | other)
+
+
+def test_cameras_of_a_server_s_own_file_would_not_be_the_sheet_s(tmp_path):
+    cameras = CamerasEntry(("l", "r"), 2, "cameras.json")
+    metadata = METADATA | {"needs_cameras": True, "cameras_given": True}
+    with pytest.raises(ConfigError, match="Start the server without --cameras"):
+        asked(tmp_path, metadata, cameras=cameras)
+
+
+def test_a_server_that_wants_a_key(tmp_path):
+    def admit(connection, handshake):
+        if handshake.headers.get("Authorization") != "Api-Key secret":
+            return connection.respond(401, "no\n")
+        return None
+
+    (tmp_path / "key").write_text("secret\n")
+    with socket_server(answering(METADATA, rester), process_request=admit) as url:
+        with pytest.raises(PortError, match="'p0' of the sheet: .*401.* give key_file"):
+            ask_policies(sheet([url]), tmp_path)
+        entry = PolicyEntry("p0", url, key_file="key")
+        [one] = ask_policies(sheet([], policies=(entry,)), tmp_path)
+        with one.connect() as client:
+            assert client.metadata == METADATA
+        entry = PolicyEntry("p0", url, key_file="none")
+        with pytest.raises(ConfigError, match="key_file .*none cannot be read"):
+            ask_policies(sheet([], policies=(entry,)), tmp_path)
+
+
+def test_a_robot_of_another_rate():
+    entry = PolicyEntry("p0", "ws://x")
+    check_rate(20.0, [Served(entry, None, {"rate": 20}), Served(entry, None, {})])
+    with pytest.raises(ConfigError, match="'p0' gives 10 actions a second, and the robot takes 20"):
+        check_rate(20.0, [Served(entry, None, {"rate": 10.0})])
