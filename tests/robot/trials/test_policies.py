@@ -62,14 +62,14 @@ def test_a_server_that_wants_a_key(tmp_path):
 
     (tmp_path / "key").write_text("secret\n")
     with socket_server(answering(METADATA, rester), process_request=admit) as url:
-        with pytest.raises(PortError, match="'p0' of the sheet: .*401.* give key_file"):
+        with pytest.raises(PortError, match=r"'p0' of the sheet: .*401.* give key_file"):
             ask_policies(sheet([url]), tmp_path)
         entry = PolicyEntry("p0", url, key_file="key")
         [one] = ask_policies(sheet([], policies=(entry,)), tmp_path)
         with one.connect() as client:
             assert client.metadata == METADATA
         entry = PolicyEntry("p0", url, key_file="none")
-        with pytest.raises(ConfigError, match="key_file .*none cannot be read"):
+        with pytest.raises(ConfigError, match=r"key_file .*none cannot be read"):
             ask_policies(sheet([], policies=(entry,)), tmp_path)
 
 

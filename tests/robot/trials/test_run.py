@@ -11,6 +11,7 @@ import yaml
 from policy_servers import answering, socket_server
 from rehearsal import METADATA, lifter, rester, small_cameras
 from rich.console import Console
+from served_runs import opened, serving, untrained_run
 from web_page import Page
 
 from jaxcam.config.commands import TrialConfig
@@ -116,6 +117,25 @@ def test_a_whole_sheet_without_a_robot(tmp_path, servers, monkeypatch):
         "observation.images.view_0", "observation.images.view_1", "observation.state", "prompt",
         *(f"camera.view_{i}.{part}" for i in (0, 1) for part in ("intrinsics", "base_from_camera")),
     }  # fmt: skip
+
+
+def test_policies_of_ours_are_tried_over_their_own_server(tmp_path, monkeypatch):
+    """Never trained, so what they do is nothing; but all that is sent and answered is real."""
+    small_cameras(tmp_path)
+    run_folder = untrained_run(tmp_path / "run", views=2, conditioning="late")
+    service = opened(run_folder)
+    with serving(service) as one, serving(service) as two:
+        cameras = yaml.safe_load(sheet_for(tmp_path, (one, two)).read_text())["cameras"]
+        cameras["placements"] = ["5"]
+        path = sheet_for(tmp_path, (one, two), cameras=cameras, seconds=0.5)
+        _, printed = run(path, "\nf\n" * 6, monkeypatch)
+    assert "All is done" in printed
+    rows = read_rows(tmp_path / "sheet.trial" / "rows.jsonl", rollouts(read_sheet(path)))
+    assert len(rows) == 6
+    for row in rows:
+        assert row.fault == ""
+        assert row.lateness.startswith("10 actions, 0 steps held, 0 late")
+        assert row.weights_sha == service.candidate.weights_sha
 
 
 def test_the_order_is_printed_without_names(tmp_path, monkeypatch):
