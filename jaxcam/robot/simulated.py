@@ -13,9 +13,9 @@ from jaxcam.config.names import ActionSpace, Rotations, SceneName
 from jaxcam.data.splits import SPLITS
 from jaxcam.errors import ConfigError, closest
 from jaxcam.robot.driver import Setup
-from jaxcam.sim import make_engine, make_task
+from jaxcam.sim import make_engine, make_task, simulator_of
 from jaxcam.sim.actions import action_dim, controller_of, decode, measured, space_of
-from jaxcam.sim.mujoco.render import Renderer
+from jaxcam.sim.painter import Painter
 from jaxcam.sim.types import Command, State, View
 
 RATE = 20.0
@@ -56,7 +56,7 @@ class SimulatedLift:
         self._engine = make_engine(
             "native", self._world, controller_of(self._space), self._task.varied
         )
-        self._painter: Renderer | None = None
+        self._painter: Painter | None = None
         self._cameras: Mapping[str, tuple[np.ndarray, tuple[int, int], np.ndarray]] = {}
         self._state: State | None = None
         self._lowest, self._raised, self._success = 0.0, 0.0, False
@@ -136,8 +136,11 @@ class SimulatedLift:
             np.stack(x) for x in zip(*self._cameras.values(), strict=True)
         )
         count, size = len(K), tuple(map(int, sizes[0]))
-        if self._painter is None or (self._painter.height, self._painter.width) != size:
-            self._painter = Renderer(self._world, *size, varied=self._task.varied, batch=count)
+        painter = self._painter
+        if painter is None or (painter.height, painter.width) != size:
+            painter = self._painter = simulator_of(self._world).painter(
+                self._world, *size, varied=self._task.varied, batch=count
+            )
         view = View(
             qpos=np.repeat(state.qpos, count, 0),
             geom_size=np.repeat(self._start.geom_size, count, 0),
@@ -145,4 +148,4 @@ class SimulatedLift:
             K=K,
             world_from_camera=self._world.world_from_base @ base_from_camera,
         )
-        return self._painter.rgb(view)
+        return painter.rgb(view)

@@ -12,7 +12,7 @@ from jaxcam.robot.driver import Robot, Setup
 from jaxcam.robot.trials.order import Rollout
 from jaxcam.robot.trials.policies import Served
 from jaxcam.robot.trials.rows import Outcome
-from jaxcam.robot.trials.sights import Sight
+from jaxcam.robot.trials.sights import PolicySight
 
 _log = logging.getLogger(__name__)
 
@@ -31,7 +31,7 @@ class Attempt:
 
     rollout: Rollout
     served: Served
-    sight: Sight
+    sight: PolicySight
     setup: Setup
     seconds: float
 

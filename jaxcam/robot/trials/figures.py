@@ -75,5 +75,5 @@ def _draw(axes: Axes, x: int, bar: Bar) -> None:
     n = bar.whole.n
     for rate, below, colour in ((whole, 0.0, "white"), (half, whole, INK)):
         if rate - below > 0.06:
-            count = round((rate - below) * n)
+            count = str(round((rate - below) * n))
             axes.text(x - 0.21, below + 0.015, count, color=colour, fontsize=9, ha="center")

@@ -143,7 +143,7 @@ def _check_cameras(one: Served, sheet: Sheet) -> None:
         )
 
 
-def check_rate(rate: float, served: Sequence[Served]) -> None:
+def check_robot(rate: float, served: Sequence[Served]) -> None:
     """Refuse policies that were trained at another rate than the robot's.
 
     Args:

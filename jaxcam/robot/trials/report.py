@@ -12,7 +12,7 @@ from jaxcam.results.differences import paired_difference
 from jaxcam.results.stats import Estimate, p_text, success_rate
 from jaxcam.robot.trials.figures import Bar, stacked_bars
 from jaxcam.robot.trials.order import Rollout, letters
-from jaxcam.robot.trials.rows import Threshold, TrialRow, counted, done, shared
+from jaxcam.robot.trials.rows import Threshold, TrialRow, as_rows, done, shared
 from jaxcam.robot.trials.sheet import Sheet
 
 PAGE, FIGURE = "report.html", "figures/outcomes.png"
@@ -36,7 +36,7 @@ class Trial:
     rows: Sequence[TrialRow]
 
 
-def write_report(trials: Sequence[Trial], out: Path) -> Path:
+def write_trials(trials: Sequence[Trial], out: Path) -> Path:
     """Write one page on one trial or several.
 
     Args:
@@ -72,7 +72,7 @@ def _subtitle(trials: Sequence[Trial]) -> str:
 def _estimates(trial: Trial, policy: int) -> list[Estimate]:
     rated = done(trial.rows)
     return [
-        success_rate(counted(trial.sheet, trial.planned, rated, policy, threshold))
+        success_rate(as_rows(trial.sheet, trial.planned, rated, policy, threshold))
         for threshold, _ in _THRESHOLDS
     ]
 
@@ -127,7 +127,7 @@ def _differences(trial: Trial) -> Table:
     lines = []
     for first, second in itertools.combinations(range(len(sheet.policies)), 2):
         for threshold, words in _THRESHOLDS:
-            a, b = (counted(sheet, planned, both, i, threshold) for i in (first, second))
+            a, b = (as_rows(sheet, planned, both, i, threshold) for i in (first, second))
             difference = paired_difference(a, b)
             value, low, high = (
                 100 * x for x in (difference.value, difference.low, difference.high)

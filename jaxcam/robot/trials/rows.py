@@ -1,9 +1,9 @@
-"""What is kept of a rollout on a robot, and how it is counted.
+"""What is kept of a rollout on a robot, and how it is as_rows.
 
 A row of ours (`jaxcam.results.rows.Row`) is one rollout on a numbered pair that everybody can have
 again; it has a digest, an engine and one of two outcomes. A rollout on a robot has three outcomes,
 a comment, and a start that nobody else can have. So it is a record of its own, kept under letters
-while the trial goes on. For the statistics, which are the same, `counted` makes rows of them.
+while the trial goes on. For the statistics, which are the same, `as_rows` makes rows of them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -55,7 +55,7 @@ class TrialRow:
     """What the policy was told of its cameras: by the camera, K and pose."""
 
 
-def read_rows(path: Path, planned: Sequence[Rollout]) -> list[TrialRow]:
+def read_trial_rows(path: Path, planned: Sequence[Rollout]) -> list[TrialRow]:
     """The rows of a trial in the order in which they were written.
 
     Args:
@@ -105,7 +105,7 @@ def done(rows: Sequence[TrialRow]) -> dict[int, TrialRow]:
     return {number: row for number, row in latest.items() if row.outcome != "redo"}
 
 
-def counted(
+def as_rows(
     sheet: Sheet,
     planned: Sequence[Rollout],
     rated: Mapping[int, TrialRow],

@@ -18,10 +18,10 @@ from jaxcam.robot.driver import make_robot
 from jaxcam.robot.trials.attempts import Driven, Runner
 from jaxcam.robot.trials.keyboard import Keyboard
 from jaxcam.robot.trials.order import Rollout, rollouts
-from jaxcam.robot.trials.policies import Served, ask_policies, check_rate
+from jaxcam.robot.trials.policies import Served, ask_policies, check_robot
 from jaxcam.robot.trials.relay import Relay
-from jaxcam.robot.trials.report import Trial, write_report
-from jaxcam.robot.trials.rows import done, read_rows
+from jaxcam.robot.trials.report import Trial, write_trials
+from jaxcam.robot.trials.rows import done, read_trial_rows
 from jaxcam.robot.trials.session import TrialSession, check_weights
 from jaxcam.robot.trials.sheet import Sheet, read_sheet
 from jaxcam.robot.trials.sights import calibrations, read_calibrations
@@ -36,7 +36,7 @@ def main(config: TrialConfig, console: Console) -> int:
     trials = [_trial(path, own) for path in sheets]
     if config.report:
         out = absolute(config.out) if config.out else trials[0].folder
-        console.print(f"Wrote {write_report(trials, out)}.", highlight=False, soft_wrap=True)
+        console.print(f"Wrote {write_trials(trials, out)}.", highlight=False, soft_wrap=True)
         return 0
     (path,), (trial,) = sheets, trials
     if config.list:
@@ -46,7 +46,7 @@ def main(config: TrialConfig, console: Console) -> int:
         store_sheet(trial.folder / SHEET, trial.sheet)
         is_done = _go(path, _trial(path, own), console)
         if is_done:
-            page = write_report([_trial(path, own)], trial.folder)
+            page = write_trials([_trial(path, own)], trial.folder)
             console.print(f"\nAll is done. Wrote {page}.", highlight=False, soft_wrap=True)
         else:
             console.print(
@@ -64,7 +64,7 @@ def _trial(path: Path, out: str) -> Trial:
     planned = rollouts(sheet)
     if (folder / SHEET).exists():
         check_sheet(folder / SHEET, sheet)
-    return Trial(sheet, folder, planned, read_rows(folder / ROWS, planned))
+    return Trial(sheet, folder, planned, read_trial_rows(folder / ROWS, planned))
 
 
 def _go(path: Path, trial: Trial, console: Console) -> bool:
@@ -96,7 +96,7 @@ def _runner(
 ) -> Iterator[Runner]:
     if sheet.robot != "none":
         robot = make_robot(sheet.robot, sheet.robot_settings or {}, folder)
-        check_rate(robot.rate, served)
+        check_robot(robot.rate, served)
         yield Driven(robot)
         return
     relay = Relay(sheet.listen)

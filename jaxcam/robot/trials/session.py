@@ -19,10 +19,10 @@ from jaxcam.robot.trials.rows import Outcome, TrialRow, append_row, done
 from jaxcam.robot.trials.sheet import Sheet
 from jaxcam.robot.trials.sights import (
     Calibrated,
-    Sight,
+    PolicySight,
     calibrations,
     read_calibrations,
-    views_of,
+    views_for,
 )
 
 OUTCOMES: dict[str, Outcome] = {"s": "success", "h": "half", "f": "failure", "r": "redo"}
@@ -130,8 +130,8 @@ class TrialSession:
             known, missing = calibrations(file, names, condition.placement)
             used = [f"camera {name!r}" for name in condition.cameras]
             lacking = [m for m in missing if not known or any(name in m for name in used)]
-        views = views_of(condition.cameras, served.views)
-        sight = Sight(names, views, known, sheet.prompt)
+        views = views_for(condition.cameras, served.views)
+        sight = PolicySight(names, views, known, sheet.prompt)
         cameras = {
             name: (c.optics.K, (c.optics.height, c.optics.width), c.base_from_camera)
             for name, c in known.items()
@@ -143,8 +143,8 @@ class TrialSession:
     def _run(self, attempt: Attempt) -> None:
         """Run a rollout, have it rated, and keep it."""
         self._say("  Running. Enter: end it.")
-        rollout, told = attempt.rollout, _calibration(attempt)
-        self._tell_changed(rollout, told)
+        rollout, calibration = attempt.rollout, _calibration(attempt)
+        self._tell_changed(rollout, calibration)
         try:
             ran = self.runner.run(attempt, self.keyboard.pressed)
         except Stopped:
@@ -157,9 +157,9 @@ class TrialSession:
         try:
             outcome, comment = self._rated(ran)
         except (Stopped, QuitError):
-            self._keep(rollout, ran, "redo", "stopped before it was rated", told)
+            self._keep(rollout, ran, "redo", "stopped before it was rated", calibration)
             raise
-        self._keep(rollout, ran, outcome, comment, told)
+        self._keep(rollout, ran, outcome, comment, calibration)
 
     def _rated(self, ran: Ran) -> tuple[Outcome, str]:
         """How it ended, and what the operator says of it."""
@@ -184,7 +184,7 @@ class TrialSession:
         ran: Ran,
         outcome: Outcome,
         comment: str,
-        told: dict[str, Any] | None = None,
+        calibration: dict[str, Any] | None = None,
     ) -> None:
         """Write a row, and wait until it is on the disk."""
         condition = rollout.condition
@@ -201,18 +201,20 @@ class TrialSession:
             fault=ran.fault,
             lateness=ran.lateness,
             weights_sha=self.served[rollout.policy].weights_sha,
-            calibration=told,
+            calibration=calibration,
         )
         append_row(self.file, row)
         self.rows.append(row)
 
-    def _tell_changed(self, rollout: Rollout, told: dict[str, Any] | None) -> None:
+    def _tell_changed(self, rollout: Rollout, calibration: dict[str, Any] | None) -> None:
         """Tell where a camera is no longer calibrated as it was in the same placement before."""
         for row in self.rows:
-            if row.placement != rollout.condition.placement or not (row.calibration and told):
+            if row.placement != rollout.condition.placement or not (
+                row.calibration and calibration
+            ):
                 continue
-            for name in told.keys() & row.calibration.keys():
-                if row.calibration[name] != told[name]:
+            for name in calibration.keys() & row.calibration.keys():
+                if row.calibration[name] != calibration[name]:
                     self._say(
                         f"  Camera {name!r} was calibrated otherwise in rollout {row.number}, in "
                         "the same placement. If it was not moved back, compare with care."
@@ -245,7 +247,7 @@ def check_weights(
 
 def _calibration(attempt: Attempt) -> dict[str, Any] | None:
     """What the policy is told of the cameras that are used, for the row."""
-    told = {
+    calibration = {
         name: {
             "K": camera.optics.K.tolist(),
             "size": [camera.optics.width, camera.optics.height],
@@ -254,4 +256,4 @@ def _calibration(attempt: Attempt) -> dict[str, Any] | None:
         for name, camera in attempt.sight.known.items()
         if name in attempt.sight.views
     }
-    return told or None
+    return calibration or None

@@ -108,7 +108,8 @@ class Sheet:
     @property
     def placements(self) -> tuple[str, ...]:
         """Names of where the cameras stand; one without a name if they never move."""
-        return tuple(map(str, self.cameras.placements)) if self.placed else ("",)
+        given = self.cameras.placements if self.cameras else ()
+        return tuple(map(str, given)) or ("",)
 
     @property
     def placed(self) -> bool:

@@ -77,7 +77,7 @@ def read_calibrations(path: Path, names: Sequence[str]) -> CamerasFile:
 
 
 @dataclass(frozen=True)
-class Sight:
+class PolicySight:
     """What of an observation goes to a policy, and under which names."""
 
     cameras: tuple[str, ...] = ()
@@ -144,7 +144,7 @@ class Sight:
         return {f"{CAMERA}{view}.{name}": value for name, value in entries.items()}
 
 
-def views_of(cameras: Sequence[str], views: Sequence[str]) -> dict[str, str]:
+def views_for(cameras: Sequence[str], views: Sequence[str]) -> dict[str, str]:
     """Which camera stands for which view of a policy.
 
     A camera that the policy knows by name is that view; the others take what is left, in order.

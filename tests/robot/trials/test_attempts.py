@@ -10,7 +10,7 @@ from jaxcam.robot.trials.attempts import Attempt, Driven
 from jaxcam.robot.trials.order import Condition, Rollout
 from jaxcam.robot.trials.policies import Served
 from jaxcam.robot.trials.sheet import PolicyEntry
-from jaxcam.robot.trials.sights import Sight
+from jaxcam.robot.trials.sights import PolicySight
 
 
 class Arm:
@@ -54,7 +54,7 @@ def run(robot, act=lambda _: np.zeros((4, 2)), is_over=never, seconds=0.3):
     with socket_server(answering({"weights_sha": "abc"}, act)) as url:
         served = Served(PolicyEntry("ACT", url), None, {"weights_sha": "abc"})
         rollout = Rollout(1, Condition(0, "", (), 3), 0, "B")
-        attempt = Attempt(rollout, served, Sight(), Setup(3, "", "", {}), seconds)
+        attempt = Attempt(rollout, served, PolicySight(), Setup(3, "", "", {}), seconds)
         return Driven(robot).run(attempt, is_over)
 
 

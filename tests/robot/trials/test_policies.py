@@ -7,7 +7,7 @@ from policy_servers import answering, socket_server
 from rehearsal import rester
 
 from jaxcam.errors import ConfigError, PortError
-from jaxcam.robot.trials.policies import Served, ask_policies, check_rate
+from jaxcam.robot.trials.policies import Served, ask_policies, check_robot
 from jaxcam.robot.trials.sheet import CamerasEntry, PolicyEntry, Sheet
 
 METADATA = {"views": ["a", "b"], "action_names": ["x"], "action_space": "eef_abs", "execute": 5}
@@ -75,6 +75,6 @@ def test_a_server_that_wants_a_key(tmp_path):
 
 def test_a_robot_of_another_rate():
     entry = PolicyEntry("p0", "ws://x")
-    check_rate(20.0, [Served(entry, None, {"rate": 20}), Served(entry, None, {})])
+    check_robot(20.0, [Served(entry, None, {"rate": 20}), Served(entry, None, {})])
     with pytest.raises(ConfigError, match="'p0' gives 10 actions a second, and the robot takes 20"):
-        check_rate(20.0, [Served(entry, None, {"rate": 10.0})])
+        check_robot(20.0, [Served(entry, None, {"rate": 10.0})])

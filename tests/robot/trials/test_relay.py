@@ -16,10 +16,10 @@ from jaxcam.robot.trials.order import Condition, Rollout
 from jaxcam.robot.trials.policies import Served
 from jaxcam.robot.trials.relay import OVER, Relay
 from jaxcam.robot.trials.sheet import PolicyEntry
-from jaxcam.robot.trials.sights import Sight
+from jaxcam.robot.trials.sights import PolicySight
 
 METADATA = {"run": "act-early-0", "policy": "act", "views": ["v"], "execute": 3, "rate": 20.0}
-SIGHT = Sight(("left", "right"), {"right": "v"})
+SIGHT = PolicySight(("left", "right"), {"right": "v"})
 PICTURES = {
     "observation/images/left": np.zeros((2, 2, 3), np.uint8),
     "observation/images/right": np.ones((2, 2, 3), np.uint8),

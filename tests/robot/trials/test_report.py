@@ -6,7 +6,7 @@ from web_page import Page
 
 from jaxcam.errors import ConfigError
 from jaxcam.robot.trials.order import letters, rollouts
-from jaxcam.robot.trials.report import Trial, write_report
+from jaxcam.robot.trials.report import Trial, write_trials
 from jaxcam.robot.trials.rows import TrialRow
 from jaxcam.robot.trials.sheet import CamerasEntry, PolicyEntry, Sheet
 
@@ -33,7 +33,7 @@ def made_up(folder, task="Pick Place", names=("With poses", "Without"), chances=
 
 def test_twenty_one_rollouts_a_setting(tmp_path):
     trial = made_up(tmp_path)
-    page = Page(write_report([trial], tmp_path))
+    page = Page(write_trials([trial], tmp_path))
     counts = {
         policy: [
             row.outcome for row in trial.rows if trial.planned[row.number - 1].policy == policy
@@ -54,7 +54,7 @@ def test_twenty_one_rollouts_a_setting(tmp_path):
 def test_what_is_missing_is_told_and_compared_on_what_all_have_met(tmp_path):
     trial = made_up(tmp_path)
     part = Trial(trial.sheet, tmp_path, trial.planned, trial.rows[:7])
-    text = " ".join(Page(write_report([part], tmp_path)).text.split())
+    text = " ".join(Page(write_trials([part], tmp_path)).text.split())
     assert "35 of 42 rollouts are missing" in text
     assert "conditions With poses − Without success" in text
     assert " 3 With poses − Without at least half" in text  # the seventh has no partner yet
@@ -62,11 +62,11 @@ def test_what_is_missing_is_told_and_compared_on_what_all_have_met(tmp_path):
 
 def test_several_tasks_stand_side_by_side(tmp_path):
     trials = [made_up(tmp_path, task) for task in ("Pick Place", "Hang Mug")]
-    assert "Pick Place, Hang Mug" in Page(write_report(trials, tmp_path)).text
+    assert "Pick Place, Hang Mug" in Page(write_trials(trials, tmp_path)).text
 
 
 def test_a_page_of_somebody_else_s_is_left_alone(tmp_path):
     (tmp_path / "report.html").write_text("mine")
     with pytest.raises(ConfigError, match="jaxcam did not write it"):
-        write_report([made_up(tmp_path)], tmp_path)
+        write_trials([made_up(tmp_path)], tmp_path)
     assert (tmp_path / "report.html").read_text() == "mine"

@@ -1,11 +1,11 @@
-"""Rows of trials: written, read, and counted."""
+"""Rows of trials: written, read, and as_rows."""
 
 import pytest
 
 from jaxcam.errors import DatasetError
 from jaxcam.results.stats import success_rate
 from jaxcam.robot.trials.order import rollouts
-from jaxcam.robot.trials.rows import TrialRow, append_row, counted, done, read_rows, shared
+from jaxcam.robot.trials.rows import TrialRow, append_row, as_rows, done, read_trial_rows, shared
 from jaxcam.robot.trials.sheet import CamerasEntry, PolicyEntry, Sheet
 
 CAMERAS = CamerasEntry(("a", "b", "c"), 2, "cameras.json", ("1", "2"))
@@ -28,7 +28,7 @@ def test_rows_come_back_as_they_were(tmp_path):
     rows = [row(1, "half", comment="slipped", calibration={"a": {"K": [[1.0]]}}), row(2, "redo")]
     for one in rows:
         append_row(tmp_path / "rows.jsonl", one)
-    assert read_rows(tmp_path / "rows.jsonl", PLANNED) == rows
+    assert read_trial_rows(tmp_path / "rows.jsonl", PLANNED) == rows
     assert "x" not in (tmp_path / "rows.jsonl").read_text().split('"')  # no policy's name
 
 
@@ -36,12 +36,12 @@ def test_a_line_that_was_torn_off_is_run_again_and_a_damaged_one_is_refused(tmp_
     file = tmp_path / "rows.jsonl"
     append_row(file, row(1, "half"))
     file.write_text(file.read_text() + '{"number": 2, "pol')
-    assert [one.number for one in read_rows(file, PLANNED)] == [1]
+    assert [one.number for one in read_trial_rows(file, PLANNED)] == [1]
     append_row(file, row(2, "failure"))
-    assert [one.number for one in read_rows(file, PLANNED)] == [1, 2]
+    assert [one.number for one in read_trial_rows(file, PLANNED)] == [1, 2]
     file.write_text(file.read_text().replace('"number": 1', '"number": 99'))
     with pytest.raises(DatasetError, match=r"line 1: rollout 99; the sheet has 1 to 12"):
-        read_rows(file, PLANNED)
+        read_trial_rows(file, PLANNED)
 
 
 def test_the_last_row_of_a_rollout_counts_unless_it_is_run_again():
@@ -54,8 +54,8 @@ def test_placements_are_the_clusters_and_half_counts_where_it_is_asked_for():
     rated = done([row(i, outcome) for i, outcome in enumerate(outcomes, start=1)])
     for policy in (0, 1):
         mine = [r for r in PLANNED if r.policy == policy]
-        whole = success_rate(counted(SHEET, PLANNED, rated, policy, "whole"))
-        half = success_rate(counted(SHEET, PLANNED, rated, policy, "half"))
+        whole = success_rate(as_rows(SHEET, PLANNED, rated, policy, "whole"))
+        half = success_rate(as_rows(SHEET, PLANNED, rated, policy, "half"))
         of = [rated[r.number].outcome for r in mine]
         assert whole.value == of.count("success") / 6
         assert half.value == 1 - of.count("failure") / 6

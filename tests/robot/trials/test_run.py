@@ -18,7 +18,7 @@ from jaxcam.config.commands import TrialConfig
 from jaxcam.errors import ConfigError, DatasetError, PortError
 from jaxcam.files.locks import NamedLock
 from jaxcam.robot.trials.order import letters, rollouts
-from jaxcam.robot.trials.rows import done, read_rows
+from jaxcam.robot.trials.rows import done, read_trial_rows
 from jaxcam.robot.trials.run import main
 from jaxcam.robot.trials.sheet import read_sheet
 
@@ -99,7 +99,7 @@ def test_a_whole_sheet_without_a_robot(tmp_path, servers, monkeypatch):
     for name in (LIFTS, RESTS, *urls):
         assert name not in first + second  # blinded
     planned = rollouts(read_sheet(path))
-    rows = read_rows(folder / "rows.jsonl", planned)
+    rows = read_trial_rows(folder / "rows.jsonl", planned)
     assert [row.outcome for row in rows].count("redo") == 1
     assert [row.number for row in rows] == [1, 2, 2, *range(3, 13)]
     of_lifter = letters(read_sheet(path))[0]
@@ -130,7 +130,7 @@ def test_policies_of_ours_are_tried_over_their_own_server(tmp_path, monkeypatch)
         path = sheet_for(tmp_path, (one, two), cameras=cameras, seconds=0.5)
         _, printed = run(path, "\nf\n" * 6, monkeypatch)
     assert "All is done" in printed
-    rows = read_rows(tmp_path / "sheet.trial" / "rows.jsonl", rollouts(read_sheet(path)))
+    rows = read_trial_rows(tmp_path / "sheet.trial" / "rows.jsonl", rollouts(read_sheet(path)))
     assert len(rows) == 6
     for row in rows:
         assert row.fault == ""

@@ -11,7 +11,7 @@ from jaxcam.robot.trials.attempts import Ran
 from jaxcam.robot.trials.keyboard import QuitError
 from jaxcam.robot.trials.order import rollouts
 from jaxcam.robot.trials.policies import Served
-from jaxcam.robot.trials.rows import read_rows
+from jaxcam.robot.trials.rows import read_trial_rows
 from jaxcam.robot.trials.session import TrialSession, check_weights
 from jaxcam.robot.trials.sheet import PolicyEntry, Sheet
 
@@ -59,19 +59,19 @@ def session(folder, answers, ran=None, shas=("", "")):
     console = Console(file=io.StringIO(), width=200)
     return TrialSession(
         SHEET, folder, file, PLANNED, served, Fake(ran), Typist(answers), console,
-        read_rows(file, PLANNED),
+        read_trial_rows(file, PLANNED),
     )  # fmt: skip
 
 
 def outcomes(folder):
-    return [(row.number, row.outcome) for row in read_rows(folder / "rows.jsonl", PLANNED)]
+    return [(row.number, row.outcome) for row in read_trial_rows(folder / "rows.jsonl", PLANNED)]
 
 
 def test_ratings_with_comments_and_what_is_none(tmp_path):
     some = session(tmp_path, ["", "half cup tipped", "", "x", "S", "", "f"])
     assert not some.go()
     assert outcomes(tmp_path) == [(1, "half"), (2, "success"), (3, "failure")]
-    first = read_rows(tmp_path / "rows.jsonl", PLANNED)[0]
+    first = read_trial_rows(tmp_path / "rows.jsonl", PLANNED)[0]
     assert (first.comment, first.seconds, first.lateness) == ("cup tipped", 1.5, "5 actions")
     printed = some.console.file.getvalue()
     assert "Success: It is lifted.\n  Half: It was raised." in printed
@@ -121,7 +121,9 @@ def test_what_ended_it_is_shown_and_kept(tmp_path):
     some = session(tmp_path, ["", "r"], Ran(0.5, fault="policy B refused: no picture"))
     some.go()
     assert "What ended it: policy B refused: no picture" in some.console.file.getvalue()
-    assert read_rows(tmp_path / "rows.jsonl", PLANNED)[0].fault == "policy B refused: no picture"
+    assert (
+        read_trial_rows(tmp_path / "rows.jsonl", PLANNED)[0].fault == "policy B refused: no picture"
+    )
 
 
 def test_other_weights_than_before_are_refused(tmp_path):

@@ -7,7 +7,7 @@ import pytest
 from rehearsal import CAMERAS
 
 from jaxcam.errors import CameraError, ConfigError, PortError
-from jaxcam.robot.trials.sights import Sight, calibrations, read_calibrations, views_of
+from jaxcam.robot.trials.sights import PolicySight, calibrations, read_calibrations, views_for
 
 NAMES = ("first", "second", "third")
 PICTURE = np.zeros((42, 42, 3), np.uint8)
@@ -17,7 +17,7 @@ def sight(placement="2", **changes):
     known, lacking = calibrations(read_calibrations(CAMERAS, NAMES), NAMES, placement)
     assert lacking == []
     views = {"first": "view_0", "third": "view_1"}
-    return Sight(**{"cameras": NAMES, "views": views, "known": known} | changes)
+    return PolicySight(**{"cameras": NAMES, "views": views, "known": known} | changes)
 
 
 def test_two_of_three_with_their_cameras():
@@ -53,7 +53,7 @@ def test_pictures_of_several_steps_have_one_camera():
 
 def test_without_cameras_an_observation_goes_as_it_is():
     given = {"observation.images.front": PICTURE, "camera.front.intrinsics": np.eye(3)}
-    assert Sight().request(given).keys() == given.keys()
+    assert PolicySight().request(given).keys() == given.keys()
 
 
 @pytest.mark.parametrize(
@@ -73,10 +73,10 @@ def test_what_cannot_be_sent_is_told(given, error, words):
 
 
 def test_a_policy_s_own_names_come_first():
-    assert views_of(("side", "front"), ("front", "wrist")) == {"side": "wrist", "front": "front"}
-    assert views_of(("a", "c"), ("v0", "v1")) == {"a": "v0", "c": "v1"}
-    assert views_of(("b", "c"), ("a", "b", "c")) == {"b": "b", "c": "c"}
-    assert views_of(("a",), ()) == {"a": "a"}
+    assert views_for(("side", "front"), ("front", "wrist")) == {"side": "wrist", "front": "front"}
+    assert views_for(("a", "c"), ("v0", "v1")) == {"a": "v0", "c": "v1"}
+    assert views_for(("b", "c"), ("a", "b", "c")) == {"b": "b", "c": "c"}
+    assert views_for(("a",), ()) == {"a": "a"}
 
 
 def test_what_a_file_lacks_is_said(tmp_path):
