@@ -75,11 +75,15 @@ class SimulatedLift:
         seed = SPLITS["test"].episodes + setup.start
         start = self._task.start(self._world, seed)
         self._start = type(start)(*(np.asarray(x)[None] for x in start))
-        self._state = self._engine.reset(self._start)
+        self._state = state = self._engine.reset(self._start)
         self._target = measured(self._space, self._state, self._world.arm)
         self._gripper = np.asarray(self._state.closed)
         self._cameras, self._success = setup.cameras, False
         self._lowest, self._raised = self._cube_height(), 0.0
+        if self._painter is None:  # what is compiled at first use would take seconds of a rollout
+            self._pictures(state)
+            self._engine.step(state, Command(self._target, self._gripper))
+            self._state = self._engine.reset(self._start)
 
     def observe(self) -> Mapping[str, Any]:
         """Pictures of all cameras, and what the arm feels."""
