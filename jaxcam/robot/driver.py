@@ -33,10 +33,11 @@ class Setup:
 class Robot(Protocol):
     """A robot, or a simulated one. All calls come from one thread.
 
-    What it may have beside this: `outcome() -> str | None`, how the rollout ended ("success",
-    "half" or "failure") if it knows, so that the operator only has to agree; and, if it is
-    simulated, `speed`, how much faster than real time it is. Where that is 0, steps follow each
-    other as fast as they can, and time stands still while a policy thinks.
+    What it may have beside this: `action_space`, so that policies of another one are refused;
+    `outcome() -> str | None`, how the rollout ended ("success", "half" or "failure") if it knows,
+    so that the operator only has to agree; and, if it is simulated, `speed`, how much faster than
+    real time it is. Where that is 0, steps follow each other as fast as they can, and time stands
+    still while a policy thinks.
     """
 
     rate: float

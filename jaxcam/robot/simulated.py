@@ -50,6 +50,7 @@ class SimulatedLift:
         if not isinstance(speed, int | float) or not 0 <= speed <= 100:
             raise ConfigError(f"robot_settings: speed must be 0 to 100, got {speed!r}.")
         self.rate, self.speed = RATE, speed
+        self.action_space, self.rotations = action_space, rotations
         self._task = make_task("lift")
         self._world = self._task.scene(scene)
         self._space = space_of(action_space, rotations)

@@ -8,6 +8,7 @@ from typing import Any
 from jaxcam.client import Client
 from jaxcam.errors import ConfigError, PortError
 from jaxcam.files.paths import read_text
+from jaxcam.robot.driver import Robot
 from jaxcam.robot.trials.sheet import PolicyEntry, Sheet
 
 ALIKE = (
@@ -143,20 +144,21 @@ def _check_cameras(one: Served, sheet: Sheet) -> None:
         )
 
 
-def check_robot(rate: float, served: Sequence[Served]) -> None:
-    """Refuse policies that were trained at another rate than the robot's.
+def check_robot(robot: Robot, served: Sequence[Served]) -> None:
+    """Refuse policies of another rate, or of other actions, than the robot's.
 
     Args:
-        rate: Control steps a second of the robot.
+        robot: What drives, as far as it says what it takes.
         served: The policies.
 
     Raises:
-        ConfigError: One was.
+        ConfigError: One is.
     """
     for one in served:
-        given = one.metadata.get("rate")
-        if isinstance(given, int | float) and abs(given - rate) > 0.01 * rate:
-            raise ConfigError(
-                f"Policy {one.entry.name!r} gives {given:g} actions a second, and the robot takes "
-                f"{rate:g}. Its 'rate' must be that of the demonstrations."
-            )
+        for name in ("rate", "action_space", "rotations"):
+            given, taken = one.metadata.get(name), getattr(robot, name, None)
+            if given is not None and taken is not None and given != taken:
+                raise ConfigError(
+                    f"Policy {one.entry.name!r}: its {name} is {given}, and the robot's is {taken}. "
+                    "The robot would do something else than the policy means."
+                )

@@ -96,7 +96,7 @@ def _runner(
 ) -> Iterator[Runner]:
     if sheet.robot != "none":
         robot = make_robot(sheet.robot, sheet.robot_settings or {}, folder)
-        check_robot(robot.rate, served)
+        check_robot(robot, served)
         yield Driven(robot)
         return
     relay = Relay(sheet.listen)

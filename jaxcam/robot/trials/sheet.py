@@ -24,11 +24,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-import yaml
-
 from jaxcam.config.fields import as_record, check_least, check_most, short
 from jaxcam.errors import ConfigError
-from jaxcam.files.paths import read_text
+from jaxcam.files.yaml import read_yaml
 
 MOST = 100_000
 """Rollouts of a sheet."""
@@ -144,12 +142,7 @@ def read_sheet(path: Path) -> Sheet:
     Raises:
         ConfigError: It is no such file, or an entry or a value in it is unknown or impossible.
     """
-    try:
-        content = yaml.safe_load(read_text(path))
-    except FileNotFoundError as error:
-        raise ConfigError(f"{path}: no such file.") from error
-    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
-        raise ConfigError(f"{path} cannot be read: {error}.") from error
+    content = read_yaml(path)
     if not isinstance(content, dict):
         raise ConfigError(f"{path}: expected names with values, got {short(content)}.")
     where = str(path)

@@ -1,6 +1,7 @@
 """The policy servers of a sheet: there, and comparable."""
 
 import contextlib
+from types import SimpleNamespace
 
 import pytest
 from policy_servers import answering, socket_server
@@ -73,8 +74,12 @@ def test_a_server_that_wants_a_key(tmp_path):
             ask_policies(sheet([], policies=(entry,)), tmp_path)
 
 
-def test_a_robot_of_another_rate():
+def test_a_robot_that_takes_something_else():
     entry = PolicyEntry("p0", "ws://x")
-    check_robot(20.0, [Served(entry, None, {"rate": 20}), Served(entry, None, {})])
-    with pytest.raises(ConfigError, match="'p0' gives 10 actions a second, and the robot takes 20"):
-        check_robot(20.0, [Served(entry, None, {"rate": 10.0})])
+    robot = SimpleNamespace(rate=20.0, action_space="eef_delta")
+    good = {"rate": 20, "action_space": "eef_delta", "rotations": "world"}
+    check_robot(robot, [Served(entry, None, good), Served(entry, None, {})])
+    with pytest.raises(ConfigError, match=r"its rate is 10\.0, and the robot's is 20"):
+        check_robot(robot, [Served(entry, None, good | {"rate": 10.0})])
+    with pytest.raises(ConfigError, match="its action_space is eef_abs, and the robot's is eef_d"):
+        check_robot(robot, [Served(entry, None, good | {"action_space": "eef_abs"})])
