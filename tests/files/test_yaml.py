@@ -20,7 +20,7 @@ def test_content_is_read(tmp_path):
         ("c:\n  - {a: 1, a: 2}\n", "'a' is there twice"),
         ("a: [", "cannot be read"),
         ("a: !!python/object/apply:os.getcwd []", "could not determine a constructor"),
-        ("[" * 1500, "cannot be read"),
+        ("[" * 400, "cannot be read"),
         ("\x00", "cannot be read"),
         ("? [a]\n: 1\n", "unhashable"),
     ],

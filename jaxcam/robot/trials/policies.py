@@ -159,6 +159,6 @@ def check_robot(robot: Robot, served: Sequence[Served]) -> None:
             given, taken = one.metadata.get(name), getattr(robot, name, None)
             if given is not None and taken is not None and given != taken:
                 raise ConfigError(
-                    f"Policy {one.entry.name!r}: its {name} is {given}, and the robot's is {taken}. "
-                    "The robot would do something else than the policy means."
+                    f"Policy {one.entry.name!r}: its {name} is {given}, and the robot's is {taken}."
+                    " The robot would do something else than the policy means."
                 )
