@@ -71,6 +71,7 @@ class RequestReader:
         names = [IMAGES + view for view in self._views] + [STATE, "prompt", "call", "row"]
         names += [f"camera.{v}.{what}" for v in self._views for what in _CAMERA]
         self._known = {_dotted(name): name for name in names}
+        self._expected = names
 
     def read(self, message: Any) -> Request:
         """The request in a message.
@@ -115,15 +116,13 @@ class RequestReader:
         for key, value in message.items():
             name = self._known.get(_dotted(key)) if isinstance(key, str) else None
             if name is None:
-                raise PortError(f"Unknown entry {key!r:.80}{closest(str(key), self._expected())}.")
+                raise PortError(
+                    f"Unknown entry {key!r:.80}{closest(str(key)[:80], self._expected)}."
+                )
             if name in given:
                 raise PortError(f"Entry {name} is there twice: with dots and with slashes.")
             given[name] = value
         return given
-
-    def _expected(self) -> list[str]:
-        """Names that a request may have, those that it needs first."""
-        return list(self._known.values())
 
     def _views_in(self, given: Mapping[str, Any]) -> tuple[str, ...]:
         """The views of which there are pictures, in the policy's order."""
