@@ -20,15 +20,15 @@ import numpy as np
 from jaxcam.config.train import TrainConfig
 from jaxcam.evaluation.evaluator import Candidate
 from jaxcam.models import PolicySpec
-from jaxcam.robot.requests import Moment
+from jaxcam.robot.requests import Shown
 from jaxcam.training.checkpoint import load_policy_inputs, rebuild_policy
 
 
 @dataclass(frozen=True)
-class Asked:
+class Question:
     """What a policy is asked: an observation, and whose turn it is."""
 
-    obs: Moment = field(repr=False)
+    obs: Shown = field(repr=False)
     """As a policy takes it, without the batch axis."""
     call: int = 0
     """Number of the call in its episode."""
@@ -61,9 +61,9 @@ class AskedPolicy:
             lens: For cameras with lenses instead of pinholes.
         """
         obs = blank(self.candidate.policy.spec, lens=lens)
-        self.chunks([Asked(obs)])
+        self.chunks([Question(obs)])
 
-    def together(self, asked: Sequence[Asked]) -> list[int]:
+    def together(self, asked: Sequence[Question]) -> list[int]:
         """Which of what was asked can be computed together with the first, that one included.
 
         Args:
@@ -79,7 +79,7 @@ class AskedPolicy:
             chosen.append(i)
         return chosen[: self.width]
 
-    def chunks(self, asked: Sequence[Asked]) -> list[np.ndarray]:
+    def chunks(self, asked: Sequence[Question]) -> list[np.ndarray]:
         """Chunks float32 [T, A] for what can be computed together.
 
         Args:
@@ -124,10 +124,10 @@ def blank(spec: PolicySpec, *, lens: bool = False) -> dict[str, np.ndarray]:
     }
     if lens:
         obs["distortion"] = np.zeros((spec.views, 9), np.float32)
-    return stacked([obs] * spec.obs_steps)
+    return observation_of([obs] * spec.obs_steps)
 
 
-def stacked(moments: Sequence[Moment]) -> dict[str, np.ndarray]:
+def observation_of(moments: Sequence[Shown]) -> dict[str, np.ndarray]:
     """Moments, oldest first, as a policy takes them: one alone has no axis of its own."""
     if len(moments) == 1:
         return dict(moments[0])

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxcam.robot.asked import Asked, AskedPolicy
+from jaxcam.robot.asked import AskedPolicy, Question
 
 PATIENCE = 0.005
 """Seconds that the first of a batch waits for the next one."""
@@ -25,7 +25,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class _Waiting:
-    asked: Asked
+    asked: Question
     answer: asyncio.Future[Answer]
 
 
@@ -42,7 +42,7 @@ class Batcher:
         self._arrived: asyncio.Queue[_Waiting] = asyncio.Queue()
         self._thread = ThreadPoolExecutor(1, "policy")
 
-    async def answer(self, asked: Asked) -> Answer:
+    async def answer(self, asked: Question) -> Answer:
         """The policy's answer; what it raises is raised here."""
         waiting = _Waiting(asked, asyncio.get_running_loop().create_future())
         self._arrived.put_nowait(waiting)

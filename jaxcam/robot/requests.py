@@ -17,7 +17,7 @@ from jaxcam.errors import CameraError, PortError, closest
 from jaxcam.models import PolicySpec
 from jaxcam.rays import Camera
 from jaxcam.rays.lens import PACKED
-from jaxcam.robot.rig import Rig, Standing
+from jaxcam.robot.rig import FixedCamera, Rig
 from jaxcam.runs.interface import Interface
 
 IMAGES, STATE = "observation.images.", "observation.state"
@@ -25,7 +25,7 @@ LARGEST_SIDE = 4096
 """Of a picture (pixels)."""
 MOST_CALLS = 2**31 - 1
 
-Moment = Mapping[str, np.ndarray]
+Shown = Mapping[str, np.ndarray]
 """What a policy is shown of one moment: `image` uint8 [V, H, W, 3], `K` [V, 3, 3],
 `base_from_camera` [V, 4, 4], `proprio` [P] and perhaps `distortion` [V, 9]."""
 
@@ -34,7 +34,7 @@ Moment = Mapping[str, np.ndarray]
 class Request:
     """What one request says."""
 
-    moments: tuple[Moment, ...] = field(repr=False)
+    moments: tuple[Shown, ...] = field(repr=False)
     """The moment now, or all that the policy sees at once, oldest first."""
     call: int | None
     """Number of the request in its episode, if it says so: what chance depends on."""
@@ -42,7 +42,7 @@ class Request:
     """Its row in the batch, if it says so: likewise."""
 
 
-class Reader:
+class RequestReader:
     """Reads requests for one policy.
 
     Args:
@@ -71,6 +71,7 @@ class Reader:
         names = [IMAGES + view for view in self._views] + [STATE, "prompt", "call", "row"]
         names += [f"camera.{v}.{what}" for v in self._views for what in _CAMERA]
         self._known = {_dotted(name): name for name in names}
+        self._expected = names
 
     def read(self, message: Any) -> Request:
         """The request in a message.
@@ -115,15 +116,13 @@ class Reader:
         for key, value in message.items():
             name = self._known.get(_dotted(key)) if isinstance(key, str) else None
             if name is None:
-                raise PortError(f"Unknown entry {key!r:.80}{closest(str(key), self._expected())}.")
+                raise PortError(
+                    f"Unknown entry {key!r:.80}{closest(str(key)[:80], self._expected)}."
+                )
             if name in given:
                 raise PortError(f"Entry {name} is there twice: with dots and with slashes.")
             given[name] = value
         return given
-
-    def _expected(self) -> list[str]:
-        """Names that a request may have, those that it needs first."""
-        return list(self._known.values())
 
     def _views_in(self, given: Mapping[str, Any]) -> tuple[str, ...]:
         """The views of which there are pictures, in the policy's order."""
@@ -179,7 +178,7 @@ class Reader:
 
     def _camera(self, view: str, given: Mapping[str, Any], size: tuple[int, int]) -> "_Camera":
         """Where the camera of a view is, and how it sees, by the request or by the rig."""
-        standing = self._rig.cameras.get(view, Standing())
+        standing = self._rig.cameras.get(view, FixedCamera())
         own = {
             what: self._numbers(name, given[name], shape)
             for what, shape in _CAMERA.items()

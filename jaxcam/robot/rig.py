@@ -14,7 +14,7 @@ from jaxcam.interop.cameras.poses import PoseFile
 
 
 @dataclass(frozen=True)
-class Standing:
+class FixedCamera:
     """What a file says of a camera."""
 
     optics: Optics | None = None
@@ -27,14 +27,14 @@ class Standing:
 class Rig:
     """The cameras of a file."""
 
-    cameras: Mapping[str, Standing]
+    cameras: Mapping[str, FixedCamera]
     """By the view's name, of those that the policy may see."""
     others: tuple[str, ...] = ()
     """Names in the file that are no such view's."""
 
     def says_all_of(self, views: tuple[str, ...]) -> bool:
         """Whether requests need to say nothing of the cameras of some views."""
-        cameras = [self.cameras.get(view, Standing()) for view in views]
+        cameras = [self.cameras.get(view, FixedCamera()) for view in views]
         return all(c.optics and c.base_from_camera is not None for c in cameras)
 
 
@@ -71,7 +71,7 @@ def read_rig(path: Path, views: tuple[str, ...]) -> Rig:
                     "Leave them out, and let each request say where a camera that moves is: "
                     f"camera.{view}.base_from_camera."
                 )
-        cameras[view] = Standing(entry.optics, pose)
+        cameras[view] = FixedCamera(entry.optics, pose)
     others = tuple(name for name in file.views if name.removeprefix(IMAGES) not in views)
     if not cameras:
         raise ConfigError(

@@ -106,9 +106,11 @@ class Server:
         """Answers before a connection is made; None lets it be made."""
         if handshake.path == "/healthz":
             return connection.respond(http.HTTPStatus.OK, "OK\n")
-        given = handshake.headers.get("Authorization", "")
+        given = " ".join(handshake.headers.get_all("Authorization"))
         expected = f"Api-Key {self._key}"
-        if self._key and not hmac.compare_digest(given.encode(), expected.encode()):
+        if self._key and not hmac.compare_digest(
+            given.encode(errors="surrogateescape"), expected.encode()
+        ):
             words = "The key is missing or wrong: expected Authorization: Api-Key and the key.\n"
             return connection.respond(http.HTTPStatus.UNAUTHORIZED, words)
         if len(self._rows) >= self._limits.clients:
@@ -118,6 +120,9 @@ class Server:
 
     async def _serve(self, connection: ServerConnection) -> None:
         """One client, from its coming to its going."""
+        if len(self._rows) >= self._limits.clients:  # who came in the same moment
+            await connection.close(1013, "no room for more clients")
+            return
         place = next(i for i in range(len(self._rows) + 1) if i not in self._rows)
         self._rows.add(place)
         name = ":".join(map(str, (connection.remote_address or ("?",))[:2]))

@@ -18,7 +18,7 @@ from jaxcam.files.paths import absolute, read_text
 from jaxcam.interrupts import interrupts
 from jaxcam.robot.asked import AskedPolicy, load_run
 from jaxcam.robot.averaging import Averaging, check_averages
-from jaxcam.robot.requests import Reader
+from jaxcam.robot.requests import RequestReader
 from jaxcam.robot.rig import Rig, read_rig
 from jaxcam.robot.server import Desk, Limits, Server
 from jaxcam.robot.session import CONTROLS, Session
@@ -94,7 +94,7 @@ class Service:
             row: Of the batch, for policies with chance.
         """
         spec = self.candidate.policy.spec
-        reader = Reader(
+        reader = RequestReader(
             self.interface,
             spec,
             width=self.policy.width,

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from jaxcam.errors import PortError, closest
-from jaxcam.robot.asked import Asked, stacked
+from jaxcam.robot.asked import Question, observation_of
 from jaxcam.robot.averaging import Averaging
-from jaxcam.robot.requests import Moment, Reader
+from jaxcam.robot.requests import RequestReader, Shown
 
 CONTROL = "__ctrl__"
 CONTROLS = ("episode_start", "episode_end")
@@ -26,11 +26,15 @@ class Session:
     """
 
     def __init__(
-        self, reader: Reader, steps: int = 1, row: int = 0, averaging: Averaging | None = None
+        self,
+        reader: RequestReader,
+        steps: int = 1,
+        row: int = 0,
+        averaging: Averaging | None = None,
     ) -> None:
         self._reader, self._steps, self._row = reader, steps, row
         self._averaging = averaging
-        self._moments: deque[Moment] = deque(maxlen=steps)
+        self._moments: deque[Shown] = deque(maxlen=steps)
         self._call = 0
 
     def control(self, message: Any) -> str | None:
@@ -50,7 +54,7 @@ class Session:
             self._averaging.restart()
         return word
 
-    def ask(self, message: Any) -> Asked:
+    def ask(self, message: Any) -> Question:
         """What a message asks of the policy; a bad one changes nothing.
 
         Raises:
@@ -63,8 +67,8 @@ class Session:
         self._moments.extend(moments)
         call = self._call if request.call is None else request.call
         self._call = call + 1
-        return Asked(
-            stacked(list(self._moments)),
+        return Question(
+            observation_of(list(self._moments)),
             call,
             self._row if request.row is None else request.row,
         )

@@ -9,10 +9,12 @@ import robots
 from jaxcam.checks.run import check_run
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, DatasetError
+from jaxcam.models import PolicySpec
 from jaxcam.pipeline.sources import source_of
 from jaxcam.pipeline.train import train
 from jaxcam.runs.action_errors import read_errors
 from jaxcam.runs.identity import read_config, resolve
+from jaxcam.runs.interface import Interface, read_interface
 from jaxcam.runs.metrics import read_metrics
 
 SMALL = {
@@ -48,6 +50,10 @@ def test_a_run_is_trained_resumed_and_reported(folder, monkeypatch):
     assert (stored.task, stored.action_space) == ("recorded", "native")
     assert (stored.demos, stored.validation, stored.views) == (3, 1, 2)
     assert stored.resolution == "24x32"
+    recording = folder[1]["recording"]
+    assert read_interface(run, stored, PolicySpec(5, 5, 2, 24, 32, 4)) == Interface(
+        ("front", "side"), recording.state_names, recording.action_names, 10.0, "Stack the cups."
+    )
     rows = read_errors(run)
     assert [(row.group, row.rotation_deg) for row in rows] == [
         ("new episodes", 0), ("new episodes", 5), ("new cameras", 0), ("new cameras", 5),

@@ -9,13 +9,13 @@ from port_requests import NAMES, SPEC, camera, request
 from jaxcam.data.recorded.fitting import fit
 from jaxcam.errors import CameraError, JaxcamError, PortError
 from jaxcam.rays.lens import pack
-from jaxcam.robot.requests import Reader
+from jaxcam.robot.requests import RequestReader
 
 LENS = np.asarray(pack(np.array([-0.2, 0.05, 0, 0])), np.float32)
 
 
 def read(message, *, names=NAMES, spec=SPEC, **how):
-    return Reader(names, spec, **how).read(message)
+    return RequestReader(names, spec, **how).read(message)
 
 
 def test_a_request_is_fitted_as_in_training():
@@ -56,11 +56,11 @@ def test_a_policy_of_fewer_views_takes_any_of_them_in_their_order():
     message = request(views=("wrist",))
     [moment] = read(message, spec=spec).moments
     assert moment["base_from_camera"][0, 0, 3] == 0
-    with pytest.raises(PortError, match="expected 1 of these: .*front.*wrist; got .*front.*wrist"):
+    with pytest.raises(PortError, match=r"expected 1 of these: .*front.*wrist; got .*front.*wrist"):
         read(request(), spec=spec)
 
 
-def test_a_lens_comes_with_its_K():
+def test_a_lens_comes_with_its_intrinsics():
     [moment] = read(request(camera__front__distortion=LENS)).moments
     np.testing.assert_array_equal(moment["distortion"], [LENS, np.zeros(9)])
     message = request(camera__front__distortion=LENS, camera__front__intrinsics=None)
@@ -90,7 +90,7 @@ def test_several_observations_are_stacked_oldest_first():
     places = [moment["base_from_camera"][:, 0, 3].tolist() for moment in moments]
     np.testing.assert_allclose(places, [[0, 0.1], [0, 0.2], [0, 0.3]], atol=1e-6)
     message["observation.state"] = message["observation.state"][0]
-    with pytest.raises(PortError, match="one moment, or 3 of each; .*front has 3.*state has 1"):
+    with pytest.raises(PortError, match=r"one moment, or 3 of each; .*front has 3.*state has 1"):
         read(message, spec=spec)
 
 
@@ -100,7 +100,7 @@ IMAGE = "observation__images__front"
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({IMAGE: None}, r"expected these: observation\.images\.front, .*got observation\.images\.w"),
+        ({IMAGE: None}, r"expected these: observation\.images\.front, .*got .*\.wrist"),
         ({IMAGE: np.zeros((16, 24, 3), np.float32)}, r"images\.front: expected uint8 .* float32"),
         ({IMAGE: np.zeros((3, 16, 24), np.uint8)}, r"\[rows, columns, 3\], got uint8 \[3, 16, 24"),
         ({IMAGE: np.zeros((0, 24, 3), np.uint8)}, r"got uint8 \[0, 24, 3\]"),
@@ -151,13 +151,13 @@ def test_a_camera_of_a_view_without_a_picture_is_refused():
 def test_what_was_learned_is_all_that_can_be_asked_for():
     assert read(request(prompt="anything"))
     assert read(request(prompt="Lift it. "), instruction="Lift it.")
-    with pytest.raises(PortError, match="expected 'Lift it.'.* got 'Dance.'"):
+    with pytest.raises(PortError, match=r"expected 'Lift it.'.* got 'Dance.'"):
         read(request(prompt="Dance."), instruction="Lift it.")
 
 
 def test_each_new_camera_is_checked_and_known_ones_are_not(monkeypatch):
     looked = []
-    real = Reader.__module__ + ".Camera"
+    real = RequestReader.__module__ + ".Camera"
     from jaxcam.robot import requests
 
     class Looking(requests.Camera):
@@ -166,7 +166,7 @@ def test_each_new_camera_is_checked_and_known_ones_are_not(monkeypatch):
             return super().validate(name)
 
     monkeypatch.setattr(real, Looking)
-    reader = Reader(NAMES, SPEC)
+    reader = RequestReader(NAMES, SPEC)
     K, pose = camera(32, 48, x=0.123)
     moved = {"camera__front__base_from_camera": pose, "camera__front__intrinsics": K}
     reader.read(request(**moved))

@@ -7,7 +7,7 @@ import pytest
 from port_requests import NAMES, SPEC, camera, request
 
 from jaxcam.errors import ConfigError, JaxcamError
-from jaxcam.robot.requests import Reader
+from jaxcam.robot.requests import RequestReader
 from jaxcam.robot.rig import read_rig
 
 
@@ -28,9 +28,12 @@ def test_requests_need_not_say_what_the_file_says(tmp_path):
     rig = read_rig(write(tmp_path, views), NAMES.views)
     assert rig.others == ("third",)
     assert rig.says_all_of(NAMES.views)
-    reader = Reader(NAMES, SPEC, rig=rig)
+    reader = RequestReader(NAMES, SPEC, rig=rig)
     bare = {k: v for k, v in request().items() if not k.startswith("camera.")}
-    [by_file], [by_request] = reader.read(bare).moments, Reader(NAMES, SPEC).read(request()).moments
+    [by_file], [by_request] = (
+        reader.read(bare).moments,
+        RequestReader(NAMES, SPEC).read(request()).moments,
+    )
     for name in by_request:  # pictures are half the size that the file's K is for
         np.testing.assert_allclose(by_file[name], by_request[name], atol=1e-5)
 
@@ -39,7 +42,7 @@ def test_a_request_overrules_the_file(tmp_path):
     lens = {"lens": "opencv", "distortion": [-0.2, 0.05, 0, 0]}
     rig = read_rig(write(tmp_path, {"front": entry(x=3.0, **lens)}), NAMES.views)
     assert not rig.says_all_of(NAMES.views)
-    reader = Reader(NAMES, SPEC, rig=rig)
+    reader = RequestReader(NAMES, SPEC, rig=rig)
     [moment] = reader.read(request()).moments
     assert moment["base_from_camera"][0, 0, 3] == 0
     assert "distortion" not in moment
@@ -47,10 +50,10 @@ def test_a_request_overrules_the_file(tmp_path):
     assert moment["distortion"][0, 0] == np.float32(-0.2)
 
 
-def test_pictures_of_another_shape_than_the_files_K(tmp_path):
+def test_pictures_of_another_shape_than_in_the_file(tmp_path):
     rig = read_rig(write(tmp_path, {"front": entry((64, 64))}), NAMES.views)
     with pytest.raises(JaxcamError, match="K is for 64x64, the pictures are 48x32"):
-        Reader(NAMES, SPEC, rig=rig).read(request(camera__front__intrinsics=None))
+        RequestReader(NAMES, SPEC, rig=rig).read(request(camera__front__intrinsics=None))
 
 
 @pytest.mark.parametrize(

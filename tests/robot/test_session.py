@@ -7,12 +7,12 @@ import pytest
 from port_requests import NAMES, SPEC, request
 
 from jaxcam.errors import PortError
-from jaxcam.robot.requests import Reader
+from jaxcam.robot.requests import RequestReader
 from jaxcam.robot.session import Session
 
 
 def session(steps=1, **how):
-    return Session(Reader(NAMES, replace(SPEC, obs_steps=steps), width=3), steps, **how)
+    return Session(RequestReader(NAMES, replace(SPEC, obs_steps=steps), width=3), steps, **how)
 
 
 def numbered(number, **changes):
@@ -79,7 +79,7 @@ def test_lenses_that_come_late_are_pinholes_before():
 def test_controls():
     assert session().control(request()) is None
     for word in ("episode_sart", 3, None, ["episode_start"]):
-        with pytest.raises(PortError, match="Unknown __ctrl__ .*Known: episode_start, episode_end"):
+        with pytest.raises(PortError, match=r"Unknown __ctrl__ .*Known: episode_start, episode_e"):
             session().control({"__ctrl__": word})
 
 
