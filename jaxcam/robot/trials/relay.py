@@ -44,9 +44,15 @@ class Relay:
         self._changed = threading.Condition()
         self._first: float | None = None
         self._fault, self._answers = "", 0
+        self._loops: set[ServerConnection] = set()
         try:
             self._server = serve(
-                self._serve, "127.0.0.1", port, compression=None, max_size=MOST_BYTES
+                self._serve,
+                "127.0.0.1",
+                port,
+                compression=None,
+                max_size=MOST_BYTES,
+                origins=[None],  # a page in a browser has no business here
             )
         except OSError as error:
             raise ConfigError(
@@ -74,15 +80,25 @@ class Relay:
         return Ran(taken, fault, f"{self._answers} answers")
 
     def close(self) -> None:
-        """Listen no more."""
+        """Listen no more, and let loops go that wait."""
         self._server.shutdown()
+        for connection in [*self._loops]:
+            connection.close()
         self._thread.join(5)
 
     def _has_run(self, seconds: float) -> bool:
         return self._first is not None and time.monotonic() - self._first > seconds
 
     def _serve(self, connection: ServerConnection) -> None:
-        """One connection of a loop: it waits for a rollout, and lasts for it."""
+        """One connection of a loop."""
+        self._loops.add(connection)
+        try:
+            self._talk(connection)
+        finally:
+            self._loops.discard(connection)
+
+    def _talk(self, connection: ServerConnection) -> None:
+        """Wait for a rollout with a loop, and pass its questions on."""
         with self._changed:
             while self._attempt is None:
                 self._changed.wait(_STEP)

@@ -7,6 +7,8 @@ import time
 import numpy as np
 import pytest
 from policy_servers import answering, socket_server
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
 
 from jaxcam.client import Client
 from jaxcam.errors import ConfigError, PortError
@@ -123,6 +125,14 @@ def test_a_policy_that_is_gone_is_told_without_its_name(relay, monkeypatch):
         Client(relay.url, patience=0.0)
     ran = operator.end()
     assert "No policy server answers at policy B" in ran.fault
+
+
+def test_a_loop_that_waits_when_the_trial_ends_is_let_go():
+    relay = Relay(0)
+    with connect(relay.url) as loop:
+        relay.close()
+        with pytest.raises(ConnectionClosed):
+            loop.recv(10)
 
 
 def test_a_port_that_is_taken(relay):

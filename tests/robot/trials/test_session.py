@@ -1,8 +1,11 @@
 """What the operator is asked and told, and that nothing rated is ever lost."""
 
+import dataclasses
 import io
+import json
 
 import pytest
+from rehearsal import small_cameras
 from rich.console import Console
 
 from jaxcam.errors import ConfigError
@@ -13,7 +16,7 @@ from jaxcam.robot.trials.order import rollouts
 from jaxcam.robot.trials.policies import Served
 from jaxcam.robot.trials.rows import read_trial_rows
 from jaxcam.robot.trials.session import TrialSession, check_weights
-from jaxcam.robot.trials.sheet import PolicyEntry, Sheet
+from jaxcam.robot.trials.sheet import CamerasEntry, PolicyEntry, Sheet
 
 SHEET = Sheet(
     "Lift", "It is lifted.", "It was raised.",
@@ -50,7 +53,8 @@ class Fake:
         return self._ran
 
 
-def session(folder, answers, ran=None, shas=("", "")):
+def session(folder, answers, ran=None, shas=("", ""), sheet=SHEET):
+    planned = rollouts(sheet)
     file = folder / "rows.jsonl"
     served = [
         Served(entry, None, {"weights_sha": sha})
@@ -58,8 +62,8 @@ def session(folder, answers, ran=None, shas=("", "")):
     ]
     console = Console(file=io.StringIO(), width=200)
     return TrialSession(
-        SHEET, folder, file, PLANNED, served, Fake(ran), Typist(answers), console,
-        read_trial_rows(file, PLANNED),
+        sheet, folder, file, planned, served, Fake(ran), Typist(answers), console,
+        read_trial_rows(file, planned),
     )  # fmt: skip
 
 
@@ -124,6 +128,24 @@ def test_what_ended_it_is_shown_and_kept(tmp_path):
     assert (
         read_trial_rows(tmp_path / "rows.jsonl", PLANNED)[0].fault == "policy B refused: no picture"
     )
+
+
+def test_a_calibration_that_changed_half_way_is_told(tmp_path):
+    small_cameras(tmp_path)
+    cameras = CamerasEntry(("first", "second"), 1, "cameras.json", ("1",))
+    sheet = dataclasses.replace(SHEET, cameras=cameras)
+    printed = []
+    for _ in range(2):
+        some = session(tmp_path, ["", "s"], sheet=sheet)
+        some.go()
+        printed.append(some.console.file.getvalue())
+        file = tmp_path / "cameras.json"
+        content = json.loads(file.read_text())
+        for camera in content["episodes"]["1"].values():
+            camera["base_from_camera"]["position"][0] += 0.01
+        file.write_text(json.dumps(content))
+    assert "calibrated otherwise" not in printed[0]
+    assert "was calibrated otherwise in rollout 1, in the same placement" in printed[1]
 
 
 def test_other_weights_than_before_are_refused(tmp_path):
