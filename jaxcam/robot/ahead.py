@@ -213,13 +213,13 @@ class Pace:
         """Seconds by which the latest step began late."""
 
     def wait(self) -> None:
-        """Wait until the next step is due; one that has been missed is not made up for."""
+        """Wait until the next step is due; those that have been missed are not made up for."""
         behind = time.monotonic() - self._due
         if behind < 0:
             time.sleep(-behind)
         self.late += behind > 0.1 * self._period
         self.worst = max(self.worst, behind)
-        self._due = max(self._due, time.monotonic() - self._period) + self._period
+        self._due += self._period * (1 + max(0, behind // self._period))
 
     def __str__(self) -> str:
         return f"{self.late} steps began late, by {1000 * self.worst:.0f} ms at most"
