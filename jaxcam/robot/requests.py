@@ -39,7 +39,7 @@ class Request:
     call: int | None
     """Number of the request in its episode, if it says so: what chance depends on."""
     row: int | None
-    """Its row in the batch, if it says so: likewise."""
+    """Its row of the batch, if it says so: the last digits, and chance, depend on it."""
 
 
 class RequestReader:
