@@ -19,6 +19,7 @@ NAMES = (
     "report",
     "sweep",
     "check",
+    "trial",
     "weights",
     "robomimic",
     "maniskill",

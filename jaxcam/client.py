@@ -12,6 +12,7 @@ imported. Messages are msgpack over a WebSocket, arrays as openpi's servers and 
 import math
 import time
 from collections.abc import Mapping
+from contextlib import ExitStack
 from types import TracebackType
 from typing import Any, Self, cast
 
@@ -127,6 +128,7 @@ class Client:
         self.url, self._timeout, self._patience, self._answer = url, timeout, patience, answer
         self._headers = {"Authorization": f"Api-Key {key}"} if key else {}
         self._connection: ClientConnection | None = None
+        self._open = ExitStack()  # websockets 17 wants each connection to be a context
         self.metadata: Mapping[str, Any] = {}
         """What the server says of itself; `{}` where it says nothing."""
         self.reconnects = 0
@@ -158,9 +160,8 @@ class Client:
 
     def close(self) -> None:
         """End the connection; the next question makes it again."""
-        if self._connection is not None:
-            self._connection.close()
-            self._connection = None
+        self._connection = None
+        self._open.close()
 
     def __enter__(self) -> Self:
         return self
@@ -184,7 +185,7 @@ class Client:
         try:
             answer = self._exchange(message)
         except ConnectionClosed as error:
-            self._connection = None
+            self.close()
             if fresh:
                 raise PortError(f"{self.url} ended the connection: {error}.") from error
             return self._ask(message)
@@ -209,13 +210,14 @@ class Client:
         until = time.monotonic() + self._patience
         while True:
             try:
-                self._connection = connect(
+                connecting = connect(
                     self.url,
                     compression=None,
                     max_size=MOST_BYTES,
                     additional_headers=self._headers,
                     open_timeout=max(1.0, self._patience),
                 )
+                self._connection = self._open.enter_context(connecting)
                 first = self._connection.recv(self._timeout)
                 break
             except (InvalidURI, InvalidHandshake) as error:

@@ -3,30 +3,46 @@
 import dataclasses
 import importlib.util
 import sys
+import time
 
 import cv2
 import numpy as np
 import pytest
 from places import REPO
+from policy_servers import answering, socket_server
 from rich.console import Console
+from test_import_hygiene import loaded
 
+from jaxcam.client import Client
 from jaxcam.interop.recordings import read_recording
 from jaxcam.rays import Camera
 from jaxcam.sim import make_painter
 
 FILE = REPO / "examples/recorded/make_dataset.py"
+LOOP = REPO / "examples/robot/loop.py"
 ROWS = 60
 
 
-@pytest.fixture(scope="module")
-def example():
-    """The script, as a module."""
-    spec = importlib.util.spec_from_file_location("make_dataset", FILE)
+def module_of(file):
+    """A script, as a module."""
+    spec = importlib.util.spec_from_file_location(file.stem, file)
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module  # as dataclasses want it
     spec.loader.exec_module(module)
     yield module
     del sys.modules[spec.name]
+
+
+@pytest.fixture(scope="module")
+def example():
+    """The script that makes a dataset."""
+    yield from module_of(FILE)
+
+
+@pytest.fixture(scope="module")
+def loop():
+    """The robot's loop."""
+    yield from module_of(LOOP)
 
 
 def shortened(demo, steps=4):
@@ -108,3 +124,26 @@ def test_calibrations_say_where_the_cube_is_in_pictures(example, written):
             assert depth > 0
             assert np.abs(pixel - seen_at).max() < 1
     assert compared >= 3
+
+
+def test_a_robot_s_loop_moves_while_it_thinks(loop):
+    """Answers take two steps and a half, in which it executes what it has."""
+
+    def act(observation):
+        assert observation["observation.images.side"].shape == (84, 84, 3)
+        time.sleep(0.12)
+        return np.tile(np.float32([0.05, 0, 0, 0, 0, 0, 1]), (12, 1))  # faster than it may move
+
+    metadata = {"views": ["side"], "execute": 8, "action_space": "eef_delta"}
+    with socket_server(answering(metadata, act)) as url, Client(url) as policy:
+        robot = loop.MyRobot(["side"], 11)
+        numbers = loop.run(robot, policy, seconds=1.2)
+    assert numbers.startswith(f"{robot.steps} actions, ")
+    assert robot.steps >= 8  # of 24; about 20 where nothing else runs
+    assert robot.position[0] == pytest.approx(0.02 * robot.steps)
+
+
+def test_a_robot_s_loop_needs_no_jax():
+    program = f"import runpy; runpy.run_path({str(LOOP)!r})"
+    modules, _ = loaded(program)
+    assert not modules & {"jax", "scipy", "rich", "tyro", "mujoco"}

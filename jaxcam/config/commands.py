@@ -230,3 +230,34 @@ def _check_only_with(config: WeightsConfig | ReportConfig, flag: str, fields: st
         if not getattr(config, flag) and getattr(config, field) != getattr(type(config), field):
             names = (f"--{name.replace('_', '-')}" for name in (field, flag))
             raise ConfigError("{} goes with {} only.".format(*names))
+
+
+@dataclass(frozen=True)
+class TrialConfig:
+    """Try policies on a robot: in random order, blinded, rated by who watches; then the report.
+
+    The same command run again goes on with what is missing.
+    """
+
+    sheet: tyro.conf.Positional[
+        Annotated[
+            tuple[str, ...],
+            tyro.conf.arg(metavar="SHEET.yaml ...", help_behavior_hint="(required)"),
+        ]
+    ]
+    """What is tried: docs/robot.md has its entries. Several only with --report."""
+    out: Annotated[str, default("beside the sheet")] = ""
+    """Folder of the rows and the report; with several sheets, of the report."""
+    report: bool = False
+    """Write the report on what there is so far, and run nothing. It says which policy is which."""
+    list: bool = False
+    """Print the rollouts in order, and run nothing."""
+
+    def __post_init__(self) -> None:
+        check_types(self)
+        if not self.sheet:
+            raise ConfigError("No sheet is given. Name a YAML file; docs/robot.md has an example.")
+        if len(self.sheet) > 1 and not self.report:
+            raise ConfigError("Several sheets go with --report only: a robot does one at a time.")
+        if self.report and self.list:
+            raise ConfigError("Give --report or --list, not both.")

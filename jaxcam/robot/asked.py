@@ -1,12 +1,13 @@
 """A run's policy as a server asks it: always in batches of one size, whatever arrives together.
 
-XLA's results can differ in their last digits between batches of different sizes, and do not
-between rows of one size, whatever is in the other rows. So there is one size, and a chunk is the
-same bit for bit as that of `policy.act` on a batch of that size.
+XLA's results can differ in their last digits between batches of different sizes, and even between
+rows of one; they do not depend on what is in the other rows. So there is one size, a
+client's requests are always in its own row, and a chunk is the same bit for bit as that of
+`policy.act` on a batch of that size with the observation in that row.
 
 Policies with chance draw it for a whole batch by the run's seed and the number of the call, as
-rollouts do (`jaxcam.evaluation.evaluator.Acting`): what a row gets depends on those and its place.
-Requests of different calls are not computed together then, and a request has a row of its own.
+rollouts do (`jaxcam.evaluation.evaluator.Acting`): requests of different calls are not computed
+together then.
 """
 
 from collections.abc import Sequence
@@ -75,28 +76,27 @@ class AskedPolicy:
         for i, one in enumerate(asked):
             if ("distortion" in one.obs) != ("distortion" in first.obs):
                 continue
-            if self.draws and (one.call != first.call or one.row in rows):
+            if one.row in rows or (self.draws and one.call != first.call):
                 continue
             rows.add(one.row)
             chosen.append(i)
-        return chosen[: self.width]
+        return chosen
 
     def chunks(self, asked: Sequence[Question]) -> list[np.ndarray]:
         """Chunks float32 [T, A] for what can be computed together.
 
         Args:
-            asked: At most `width`.
+            asked: Each in a row of its own.
         """
         first = asked[0]
-        places = [one.row for one in asked] if self.draws else list(range(len(asked)))
         rows = [first.obs] * self.width
-        for place, one in zip(places, asked, strict=True):
-            rows[place] = one.obs
+        for one in asked:
+            rows[one.row] = one.obs
         obs = {name: np.stack([row[name] for row in rows]) for name in first.obs}
         key = jax.random.fold_in(self._root, first.call) if self.draws else self._root
         program = self._program(obs, key)
         chunks = np.asarray(program(self._params, obs, key))
-        return [chunks[place] for place in places]
+        return [chunks[one.row] for one in asked]
 
     def _program(self, obs: dict[str, np.ndarray], key: jax.Array) -> Any:
         has_lens = "distortion" in obs

@@ -42,7 +42,7 @@ class Request:
     call: int | None
     """Number of the request in its episode, if it says so: what chance depends on."""
     row: int | None
-    """Its row in the batch, if it says so: likewise."""
+    """Its row of the batch, if it says so: the last digits, and chance, depend on it."""
 
 
 class RequestReader:
@@ -74,6 +74,7 @@ class RequestReader:
         names = [IMAGES + view for view in self._views] + [STATE, "prompt", "call", "row"]
         names += [f"camera.{v}.{what}" for v in self._views for what in _CAMERA]
         self._known = {_dotted(name): name for name in names}
+        self._expected = names
 
     def read(self, message: Any) -> Request:
         """The request in a message.
@@ -120,15 +121,13 @@ class RequestReader:
         for key, value in message.items():
             name = self._known.get(_dotted(key)) if isinstance(key, str) else None
             if name is None:
-                raise PortError(f"Unknown entry {key!r:.80}{closest(str(key), self._expected())}.")
+                raise PortError(
+                    f"Unknown entry {key!r:.80}{closest(str(key)[:80], self._expected)}."
+                )
             if name in given:
                 raise PortError(f"Entry {name} is there twice: with dots and with slashes.")
             given[name] = value
         return given
-
-    def _expected(self) -> list[str]:
-        """Names that a request may have, those that it needs first."""
-        return list(self._known.values())
 
     def _views_in(self, given: Mapping[str, Any]) -> tuple[str, ...]:
         """The views of which there are pictures, in the policy's order."""

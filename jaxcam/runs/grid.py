@@ -23,13 +23,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
-import yaml
-
 from jaxcam.config.fields import as_record, short
 from jaxcam.config.names import ProtocolName
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, closest
-from jaxcam.files.paths import home, read_text
+from jaxcam.files.paths import home
+from jaxcam.files.yaml import read_yaml
 from jaxcam.results.protocol import missing, protocol_of
 from jaxcam.results.rows import Row
 from jaxcam.results.stats import Estimate, latest_rows, success_rate
@@ -159,12 +158,8 @@ def read_grid(path: str | Path) -> Grid:
         ConfigError: It is no such file, or an entry, a setting or a value in it is unknown.
     """
     path = home(path)
-    try:
-        content = yaml.safe_load(read_text(path))
-    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
-        raise ConfigError(f"{path} cannot be read: {error}.") from error
     where = str(path)
-    content = _mapping(where, content, _ENTRIES)
+    content = _mapping(where, read_yaml(path), _ENTRIES)
     for name in ("runs_dir", "runs"):
         if not content.get(name):
             raise ConfigError(f"{where}: there is no '{name}'.")

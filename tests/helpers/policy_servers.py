@@ -4,16 +4,19 @@ import contextlib
 import threading
 import traceback
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import msgpack
 import numpy as np
 from websockets.sync.server import ServerConnection, serve
 
+from jaxcam.client import from_wire, to_wire
+
 
 @contextlib.contextmanager
-def socket_server(handler: Callable[[ServerConnection], None]) -> Iterator[str]:
+def socket_server(handler: Callable[[ServerConnection], None], **how: Any) -> Iterator[str]:
     """A server that treats each connection with the handler; gives its address."""
-    with serve(handler, "127.0.0.1", 0, compression=None) as server:
+    with serve(handler, "127.0.0.1", 0, compression=None, **how) as server:
         thread = threading.Thread(target=server.serve_forever, daemon=True)
         thread.start()
         try:
@@ -69,3 +72,21 @@ def policy_server(infer, metadata=None, answer="actions"):
 
 HANG_UP = object()
 """Given instead of actions, it ends the connection."""
+
+
+def answering(metadata, act):
+    """A handler that says what it is and answers each observation with a chunk, or with words."""
+
+    def handle(connection):
+        connection.send(to_wire(metadata))
+        for message in connection:
+            observation = from_wire(message)
+            if "__ctrl__" in observation:
+                connection.send(to_wire({"__ack__": observation["__ctrl__"]}))
+                continue
+            try:
+                connection.send(to_wire({"actions": act(observation)}))
+            except ValueError as error:
+                connection.send(str(error))
+
+    return handle
