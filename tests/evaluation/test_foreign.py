@@ -3,20 +3,32 @@
 import sys
 from functools import partial
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import torch
 from policy_servers import HANG_UP, policy_server
 from running import exit_code
+from served_runs import serving
 
 import jaxcam.client
 from jaxcam.config.commands import EvaluateConfig
-from jaxcam.config.foreign import ForeignConfig
+from jaxcam.config.foreign import ForeignConfig, ObsMap
+from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, NoServerError
-from jaxcam.evaluation.foreign import evaluate_foreign, source_of
+from jaxcam.evaluation.evaluator import Candidate, Evaluator
+from jaxcam.evaluation.foreign import Foreign, evaluate_foreign, source_of
 from jaxcam.evaluation.mapping import read_map
 from jaxcam.evaluation.sources import Server
+from jaxcam.evaluation.terms import names_of, record_of
+from jaxcam.models import Policy, PolicySpec
 from jaxcam.reports.arms import group, read_runs
+from jaxcam.robot.asked import AskedPolicy
+from jaxcam.robot.rig import Rig
+from jaxcam.robot.serving import Service
+from jaxcam.runs.identity import resolve
+from jaxcam.runs.interface import simulated_interface
 from jaxcam.runs.rollouts import read_run_rows
 from jaxcam.sim.tasks.lift import Lift
 
@@ -208,3 +220,33 @@ def test_flags_that_do_not_go_together(argv, message, capsys):
     assert exit_code("evaluate", *argv) == 2
     shown = capsys.readouterr()
     assert message in " ".join((shown.out + shown.err).replace("│", " ").split())
+
+
+def drawing(params, obs, key):
+    """A policy that depends on all that it is shown, now and before, and on chance."""
+    picture = obs["image"].astype(jnp.float32).mean((1, 2, 3, 4)) / 255  # [B, 3]
+    where = obs["proprio"][:, 0, 7:10] - obs["base_from_camera"][:, -1, 0, :3, 3]
+    move = 0.01 * (picture + where + obs["K"][:, -1, 0, :1, 2] / 100)
+    noise = 0.01 * jax.random.normal(key, (len(move), 3, 7))
+    return params["gain"] * (noise + jnp.pad(move, ((0, 0), (0, 4)))[:, None])
+
+
+def test_a_run_behind_our_server_moves_as_it_does_here_bit_for_bit(tmp_path):
+    config = resolve(TrainConfig(resolution=16, seed=3), accelerator=False)
+    spec = PolicySpec(7, 11, views=1, height=16, width=16, chunk=4, obs_steps=2)
+    policy = Policy(lambda key: {}, lambda *_: (jnp.zeros(()), {}), drawing, None, spec, 2)
+    candidate = Candidate(policy, {"gain": jnp.float32(1.0)}, tmp_path / "run", 7)
+    evaluator = Evaluator(config, WIDTH, "native")
+    asked = AskedPolicy(candidate, config.seed, WIDTH)
+    service = Service(config, simulated_interface(config), asked, Rig({}))
+    with serving(service) as address:
+        flags = ForeignConfig(policy=address)
+        source = source_of(flags, WIDTH)
+        record = record_of(flags, ObsMap(), source)
+        foreign = Foreign(record, source, names_of(record, WIDTH), tmp_path / "foreign")
+        there, moved = evaluator.run(foreign, "test", [0, 1])
+    here, moves = evaluator.run(candidate, "test", [0, 1])
+    np.testing.assert_array_equal(moved.qpos[:, :2], moves.qpos[:, :2])
+    assert np.ptp(moves.qpos[:, :2], axis=0).max() > 0.01
+    assert [(row.success, row.steps) for row in there] == [(row.success, row.steps) for row in here]
+    assert source.at_once == WIDTH

@@ -44,7 +44,7 @@ def test_a_server_may_move_if_it_says_who_it_is(tmp_path):
 def test_another_policy_is_refused_and_told_apart(tmp_path):
     adopt(tmp_path, RECORD)
     other = replace(RECORD, metadata={"step": 2, "names": ["a"]}, weights_sha="1" * 16)
-    with pytest.raises(ConfigError, match="another policy.*: metadata step: 1 -> 2. Give"):
+    with pytest.raises(ConfigError, match=r"another policy.*: metadata step: 1 -> 2\. Give"):
         adopt(tmp_path, other)
     with pytest.raises(ConfigError, match="file has changed"):
         adopt(tmp_path, replace(RECORD, weights_sha="1" * 16))
