@@ -24,8 +24,8 @@ from jaxcam.data.pairs import read_digests
 from jaxcam.errors import JaxcamError
 from jaxcam.interop.lerobot.policy import describe_checkpoint, read_about, read_checkpoint
 from jaxcam.rays import read_pose_file
-from jaxcam.reports.arms import read_results
-from jaxcam.reports.records import read_records
+from jaxcam.reports.packs.folder import read_results
+from jaxcam.reports.packs.records import read_records
 from jaxcam.runs.grid import read_grid
 from jaxcam.runs.identity import read_config
 from jaxcam.runs.manifests import DamagedError, record_of_weights, seal, steps_in

@@ -111,11 +111,28 @@ class ReportConfig:
     """Folder to write."""
     split: Split = "test"
     """Which pairs: those kept for results, or those for choosing settings."""
+    pack: Annotated[str, default("none")] = ""
+    """Folder to write a result pack to instead: the rollouts with digests, to be given to others,
+    see docs/benchmark.md."""
+    pack_name: Annotated[str, default("the folder's name")] = ""
+    """What the pack is called on a leaderboard."""
+    authors: Annotated[str, default("none")] = ""
+    """Whose the pack is."""
+    link: Annotated[str, default("none")] = ""
+    """Where more is to be read about it, such as https://example.org/paper."""
+    leaderboard: Annotated[str, default("none")] = ""
+    """HTML page to write instead, over all the packs that are given."""
 
     def __post_init__(self) -> None:
         check_types(self)
         if not self.runs:
             raise ConfigError("No run is given. Name run folders, or folders that hold some.")
+        _check_only_with(self, "pack", "pack_name authors link")
+        if self.pack and self.leaderboard:
+            raise ConfigError("Give --pack or --leaderboard, not both.")
+        if (self.pack or self.leaderboard) and self.out != ReportConfig.out:
+            raise ConfigError("--out is the folder of a report, which --pack and --leaderboard do "
+                              "not write: leave it out.")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -207,9 +224,9 @@ class WeightsConfig:
         _check_only_with(self, "run_dir", "task scene action_space rotations")
 
 
-def _check_only_with(config: WeightsConfig, flag: str, fields: str) -> None:
+def _check_only_with(config: WeightsConfig | ReportConfig, flag: str, fields: str) -> None:
     """Refuses settings that mean nothing without a flag: they would be forgotten without a word."""
     for field in fields.split():
-        if not getattr(config, flag) and getattr(config, field) != getattr(WeightsConfig, field):
+        if not getattr(config, flag) and getattr(config, field) != getattr(type(config), field):
             names = (f"--{name.replace('_', '-')}" for name in (field, flag))
             raise ConfigError("{} goes with {} only.".format(*names))

@@ -83,26 +83,29 @@ def write_together(texts: Mapping[Path, str]) -> None:
                 os.fsync(file.fileno())
 
 
-def check_free(path: Path, inputs: Iterator[Path] | tuple[Path, ...] = ()) -> None:
+def check_free(
+    path: Path, inputs: Iterator[Path] | tuple[Path, ...] = (), flag: str = "--out"
+) -> None:
     """Refuse a place for a page that has something else: an input, or what we did not write.
 
     Args:
         path: Where the page is to go.
         inputs: What is read to make it.
+        flag: That named the place.
 
     Raises:
         ConfigError: It may not be written; the message says why.
     """
     for given in inputs:
         if path.exists() and given.exists() and path.samefile(given):
-            raise ConfigError(f"{path} is read here, so it is not written. Choose another --out.")
+            raise ConfigError(f"{path} is read here, so it is not written. Choose another {flag}.")
     if not path.exists():
         return
     if not path.is_file():
-        raise ConfigError(f"{path} is there, and is no file. Choose another --out.")
+        raise ConfigError(f"{path} is there, and is no file. Choose another {flag}.")
     if not _is_ours(path):
         raise ConfigError(
-            f"{path} is there, and jaxcam did not write it. Choose another --out, or move it away."
+            f"{path} is there, and jaxcam did not write it. Choose another {flag}, or move it away."
         )
 
 

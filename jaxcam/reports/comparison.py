@@ -17,7 +17,7 @@ from jaxcam.errors import ConfigError
 from jaxcam.files.paths import absolute
 from jaxcam.files.whole import check_free, write_atomically
 from jaxcam.reports import paper
-from jaxcam.reports.arms import Arm, Run, check_replaces, group, read_runs, write_results
+from jaxcam.reports.arms import Arm, Run, group
 from jaxcam.reports.camera_figures import rate_by_camera
 from jaxcam.reports.document import (
     Block,
@@ -32,6 +32,11 @@ from jaxcam.reports.document import (
 )
 from jaxcam.reports.html import own_files
 from jaxcam.reports.names import file_name
+from jaxcam.reports.packs.folder import check_replaces, write_results
+from jaxcam.reports.packs.manifest import PackLabel
+from jaxcam.reports.packs.pack import is_pack, write_pack
+from jaxcam.reports.packs.page import write_leaderboard
+from jaxcam.reports.reading import read_packs, read_runs
 from jaxcam.reports.studies import STUDIES, arm_names, arms_of, panels, place
 from jaxcam.reports.study_figures import bars, curves, maps, rates_and_gains
 from jaxcam.reports.style import save
@@ -39,6 +44,7 @@ from jaxcam.reports.tables import (
     by_task,
     cells,
     context,
+    foreign_table,
     gains_table,
     is_of_table,
     runs_table,
@@ -124,6 +130,8 @@ def _main(arms: Sequence[Arm], out: Path) -> list[Block]:
     blocks: list[Block] = [Heading("With and without the camera pose"), table_one(arms)]
     if table := gains_table(arms):
         blocks += [Heading("Paired differences"), table]
+    if table := foreign_table(arms):
+        blocks += [Heading("Policies of others"), table]
     if twins := [some for some in twins_of(arms) if is_of_table(some[0])]:
         path = save(rates_and_gains(twins), out / "figures" / "gains.png")
         caption = (
@@ -200,6 +208,8 @@ def _check_out(out: Path) -> None:
     """Refuses a folder that has files of ours' names which we did not write."""
     if out.exists() and not out.is_dir():
         raise ConfigError(f"{out} is there, and is no folder. Choose another --out.")
+    if is_pack(out):
+        raise ConfigError(f"{out} is a result pack, which would be spoilt. Choose another --out.")
     page = out / "report.html"
     check_free(page)
     rows = all((out / name).exists() for name in ("runs.json", "rows.jsonl"))
@@ -216,14 +226,29 @@ def main(config: ReportConfig, console: Console) -> None:
     """Runs the command."""
     if not config.runs:
         raise ConfigError("No runs are named. Give the folders of runs, or of reports.")
-    out = absolute(config.out)
-    _check_out(out)
+    if config.leaderboard:
+        return _leaderboard(config, console)
+    out = absolute(config.pack or config.out)
+    if not config.pack:
+        _check_out(out)
     runs = read_runs(config.runs, config.split)
-    written = write_comparison(runs, out, config.split)
-    for arm in group(runs):
+    if config.pack:
+        about = PackLabel(config.pack_name or out.name, config.authors, config.link)
+        pack = write_pack(out, runs, config.split, about)
+        written = f"Pack: {out} ({pack.manifest.digest[:8]})"
+    else:
+        written = f"Report: {write_comparison(runs, out, config.split)}"
+    for arm in group(run for run in runs if run.rows or not config.pack):
         s = arm.settings
         name = " ".join(str(s[k]) for k in ("policy", "task", "scene", "conditioning"))
         whole = f" [{', '.join(arm.lacks)}]" if arm.lacks else ""
         line = plain_line(f"{name}, {arm.label()}: {arm.estimate}{whole}")
         console.print(line, soft_wrap=True)
-    console.print(f"Report: {written}", soft_wrap=True)
+    console.print(written, soft_wrap=True)
+
+
+def _leaderboard(config: ReportConfig, console: Console) -> None:
+    page = absolute(config.leaderboard)
+    packs = read_packs(config.runs)
+    count = write_leaderboard(page, packs, config.split)
+    console.print(f"Leaderboard: {page} ({count} settings of {len(packs)} packs)", soft_wrap=True)

@@ -15,8 +15,8 @@ from jaxcam.errors import ConfigError
 from jaxcam.files.paths import read_text
 from jaxcam.files.whole import write_atomically
 from jaxcam.reports import paper
-from jaxcam.reports.arms import training_seconds
 from jaxcam.reports.html import Embedded, embedded, own_files, render
+from jaxcam.reports.reading import training_seconds
 from jaxcam.results.actions import ActionErrors
 from jaxcam.results.rows import Row
 from jaxcam.results.stats import Estimate, by_field, causes, latest_rows, success_rate

@@ -10,10 +10,11 @@ from itertools import zip_longest
 from typing import Any
 
 from jaxcam.reports import paper
-from jaxcam.reports.arms import Arm, Run
+from jaxcam.reports.arms import Arm, Run, kind_of_pairs
 from jaxcam.reports.document import Link, Table
 from jaxcam.reports.names import csv_cell
 from jaxcam.results.differences import PairedDifference
+from jaxcam.results.protocol import is_foreign
 from jaxcam.results.stats import by_field, p_text
 from jaxcam.runs.identity import plain
 
@@ -65,6 +66,13 @@ def table_one(arms: Sequence[Arm]) -> Table:
             rows.append([title, "paper", *(_paper_cell(policy, t, conditioned) for t in tasks)])
             for source, line in _lines(shown, policy, conditioned):
                 rows.append(["", source, *(_rate_cell(line.get(t), base) for t in tasks)])
+    for policy in dict.fromkeys(a.settings["policy"] for a in shown if is_foreign_arm(a)):
+        rules.append(len(rows))
+        for conditioned in (False, True):
+            title = f"{policy}\nw. conditioning" if conditioned else policy
+            for source, line in _lines(shown, policy, conditioned):
+                rows.append([title, source, *(_rate_cell(line.get(t), base) for t in tasks)])
+                title = ""
     titles = [paper.task_title(t) for t in tasks]
     caption = (
         "Success in percent with and without camera conditioning (Table I of the paper). In "
@@ -95,6 +103,45 @@ def gains_table(arms: Sequence[Arm]) -> Table | None:
         "with two pairs added), and beside it what several seeds give."
     )
     return Table(caption, head, rows) if rows else None
+
+
+def foreign_table(arms: Sequence[Arm]) -> Table | None:
+    """Somebody else's policies, each beside ours on the same pairs; None without any.
+
+    Args:
+        arms: Of any settings.
+    """
+    rows: list[list[str]] = []
+    rules: list[int] = []
+    for arm in (a for some in by_task(arms).values() for a in some if is_foreign_arm(a)):
+        s, e = arm.settings, arm.estimate
+        own = [paper.policy_title(s["policy"]), _task(arm), s["conditioning"], arm.label(),
+               _rate(e.value, e.low, e.high), arm.count()]  # fmt: skip
+        rules.append(len(rows))
+        others = [
+            a for a in arms
+            if not is_foreign_arm(a) and paper.is_table_setting(a.settings)
+            and kind_of_pairs(a.settings) == kind_of_pairs(s) and a.estimate.n and e.n
+        ]  # fmt: skip
+        for other in others:
+            o = other.settings
+            title = f"{paper.policy_title(o['policy'])}, {o['conditioning']}, {other.label()}"
+            rows.append([*own, title, *_difference(arm.against(other))])
+            own = [""] * len(own)
+        if not others:
+            rows.append([*own, *[NONE] * 4])
+    head = ("Policy", "Task", "Conditioning", "Settings", "Success", "Rollouts", "Against",
+            "Difference", "p", "Pairs")  # fmt: skip
+    caption = (
+        "Policies that were not trained here, in percent, and their paired differences to ours in "
+        "points."
+    )
+    return Table(caption, head, rows, rules, folded=len(rows) > 40) if rows else None
+
+
+def is_foreign_arm(arm: Arm) -> bool:
+    """Whether an arm's policy is somebody else's."""
+    return is_foreign(arm.settings["policy"])
 
 
 def cells(arms: Sequence[Arm], field: str, order: Mapping[Any, str]) -> Table:
@@ -143,7 +190,7 @@ def runs_table(runs: Iterable[Run], links: Mapping[str, Sequence[Link]]) -> Tabl
         hours = f"{run.seconds / 3600:.2f}" if run.seconds else NONE
         films = links.get(run.name, ())
         rows.append([
-            run.name, str(run.seed), arm.label(), f"{len(steps)}",
+            run.name, NONE if run.seed is None else str(run.seed), arm.label(), f"{len(steps)}",
             f"{max(steps, default=0):,}", str(estimate.n),
             str(estimate.excluded), _rate(estimate.value, estimate.low, estimate.high), hours,
             films[0] if films else NONE,
@@ -195,7 +242,12 @@ def paper_value(arm: Arm) -> float | None:
 
 
 def is_of_table(arm: Arm) -> bool:
-    """Whether its settings are Table I's, with the paper's conditioning or one it has nowhere."""
+    """Whether its settings are Table I's, with the paper's conditioning or one it has nowhere.
+
+    Somebody else's policy belongs there however it acts: the table has no other place for it.
+    """
+    if is_foreign_arm(arm):
+        return arm.settings["scene"] == "randomized"
     way = arm.settings["conditioning"]
     known = way in ("none", _papers_way(arm.settings["policy"])) or way not in paper.ENCODINGS
     return known and paper.is_table_setting(arm.settings)
@@ -223,7 +275,12 @@ def _lines(arms: Sequence[Arm], policy: str, conditioned: bool) -> list[tuple[st
             by_name = {a.settings["task"]: a for a in line if a is not None}
             first = next(iter(by_name.values()))
             way = [first.settings["conditioning"]] if conditioned else []
-            words = ["ours", *way, first.label(*_OF_TASK), *_steps([*by_name.values()])]
+            words = [
+                "foreign" if is_foreign_arm(first) else "ours",
+                *way,
+                first.label(*_OF_TASK),
+                *_steps([*by_name.values()]),
+            ]
             source = "\n".join(textwrap.fill(line, 26) for line in words)
             lines.append((source, by_name))
     return lines

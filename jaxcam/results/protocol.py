@@ -9,6 +9,9 @@ from jaxcam.results.stats import by_field
 
 ATTEMPTS = 2
 """Times that a pair is run whose rollout ends in an error of the simulator."""
+NOT_RECORDED = "not recorded"
+"""What rows are of where nobody wrote it down."""
+_SEEDS = {"act": 3, "diffusion": 3, "smolvla": 1, NOT_RECORDED: 3, "": 3}
 
 
 @dataclass(frozen=True)
@@ -47,13 +50,26 @@ class Protocol:
         return [last, *before][: self.checkpoints]
 
 
+def is_foreign(policy: str) -> bool:
+    """Whether a policy is somebody else's, which was not trained here.
+
+    Args:
+        policy: Its kind, such as "act", or the name that it was given.
+    """
+    return policy not in _SEEDS
+
+
 def protocol_of(policy: str) -> Protocol:
     """The paper's protocol (section IV-C); SmolVLA has one seed there.
+
+    Of somebody else's policy there is what was served: one set of weights.
 
     Args:
         policy: Kind of policy, such as "act".
     """
-    return Protocol(seeds=1 if policy == "smolvla" else 3, checkpoints=10, pairs=50)
+    if is_foreign(policy):
+        return Protocol(seeds=1, checkpoints=1, pairs=50)
+    return Protocol(seeds=_SEEDS[policy], checkpoints=10, pairs=50)
 
 
 def counted(rows: Sequence[Row], protocol: Protocol) -> list[Row]:

@@ -23,7 +23,8 @@ from jaxcam.evaluation.mapping import read_map
 from jaxcam.evaluation.sources import Server
 from jaxcam.evaluation.terms import names_of, record_of
 from jaxcam.models import Policy, PolicySpec
-from jaxcam.reports.arms import group, read_runs
+from jaxcam.reports.arms import group
+from jaxcam.reports.reading import read_runs
 from jaxcam.robot.asked import AskedPolicy
 from jaxcam.robot.rig import Rig
 from jaxcam.robot.serving import Service

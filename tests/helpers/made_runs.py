@@ -6,7 +6,8 @@ import numpy as np
 
 from jaxcam.config.fields import to_json
 from jaxcam.config.train import TrainConfig
-from jaxcam.reports.arms import group, read_runs
+from jaxcam.reports.arms import group
+from jaxcam.reports.reading import read_runs
 from jaxcam.reports.studies import STUDIES
 from jaxcam.runs.identity import resolve
 

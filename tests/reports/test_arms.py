@@ -1,13 +1,10 @@
-"""Which runs make an arm, and which of their rows count."""
-
-import shutil
+"""Which rows of an arm count, and what it is called."""
 
 import pytest
 from made_runs import arms_of, make_run
-from places import REPO
+from packs import foreign
 
-from jaxcam.errors import ConfigError
-from jaxcam.reports.arms import read_runs
+from jaxcam.reports.arms import Arm, group, kind_of_pairs
 
 
 def test_a_whole_protocol_counts_and_anything_less_is_told(tmp_path):
@@ -28,21 +25,23 @@ def test_the_newest_checkpoints_count_with_the_protocols_pairs(tmp_path):
     assert max(row.pair for row in arm.rows) == 49
 
 
-def test_runs_that_cannot_be_compared_are_refused(runs, tmp_path):
-    with pytest.raises(ConfigError, match="No run in"):
-        read_runs([tmp_path / "nothing"])
-    make_run(tmp_path / "other" / "late", rate=0.5, conditioning="late")
-    with pytest.raises(ConfigError, match="same settings and the same seed"):
-        read_runs([runs, tmp_path / "other"])
-    make_run(tmp_path / "new" / "late", conditioning="late", seed=1)
-    file = tmp_path / "new" / "late" / "eval" / "rows.jsonl"
-    file.write_text(file.read_text().replace('"pair_sha": "00', '"pair_sha": "0f'))
-    with pytest.raises(ConfigError, match="different pairs of the same number"):
-        read_runs([runs, tmp_path / "new"])
+def test_an_arm_of_somebody_elses_policy_is_whole_with_the_pairs_of_one():
+    (arm,) = group([foreign("OpenVLA 7B", rate=0.5, pairs=50, action_space="eef_abs", weights="")])
+    assert (arm.lacks, arm.count()) == ([], "50")
+    assert arm.label() == "settings of its own, action_space eef_abs"
+    (few,) = group([foreign(pairs=8)])
+    assert few.count() == "8 of 50"
 
 
-def test_links_that_lead_back_are_followed_once(tmp_path):
-    shutil.copytree(REPO / "results" / "lift", tmp_path / "results" / "lift")
-    for name in ("a", "b"):
-        (tmp_path / "results" / name).symlink_to(tmp_path / "results")
-    assert len(read_runs([tmp_path])) == len(read_runs([tmp_path / "results" / "lift"]))
+def test_settings_that_nobody_recorded_are_said_to_be_so():
+    run = foreign("act", way="late", engine="mjx-warp", ensemble=0.0, views=1)
+    assert Arm((run,)).label() == "settings not recorded, engine mjx-warp"
+
+
+@pytest.mark.parametrize(
+    ("settings", "views"),
+    [({}, 1), ({"views": 2}, 2), ({"task": "square"}, 2), ({"task": "x"}, None)],
+)
+def test_pairs_have_the_tasks_cameras_where_nobody_says_another_number(settings, views):
+    known = {"task": "lift", "scene": "fixed"} | settings
+    assert kind_of_pairs(known) == (known["task"], "fixed", views)

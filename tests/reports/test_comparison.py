@@ -13,8 +13,9 @@ from places import REPO
 from running import exit_code
 from web_page import Page
 
-from jaxcam.reports.arms import group, read_runs
+from jaxcam.reports.arms import group
 from jaxcam.reports.comparison import write_comparison
+from jaxcam.reports.reading import read_runs
 from jaxcam.reports.tables import gains_table
 
 

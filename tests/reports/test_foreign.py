@@ -10,8 +10,9 @@ from running import exit_code
 from jaxcam.config.fields import to_json
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, DatasetError
-from jaxcam.reports.arms import read_runs, write_results
 from jaxcam.reports.comparison import write_comparison
+from jaxcam.reports.packs.folder import write_results
+from jaxcam.reports.reading import read_runs
 from jaxcam.reports.run_page import write_report
 from jaxcam.runs.identity import resolve
 

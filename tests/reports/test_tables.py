@@ -3,9 +3,11 @@
 import re
 
 from made_runs import arms_of, make_run
+from packs import foreign
 
 from jaxcam.reports import paper
-from jaxcam.reports.tables import gains_table, paper_value, table_one
+from jaxcam.reports.arms import group
+from jaxcam.reports.tables import foreign_table, gains_table, paper_value, runs_table, table_one
 from jaxcam.results.differences import paired_difference
 
 
@@ -57,3 +59,26 @@ def test_early_fusion_with_a_new_stem_is_compared_with_the_others(tmp_path):
     make_run(tmp_path / "a", conditioning="none", **weights)
     make_run(tmp_path / "b", conditioning="early", stem="new", **weights)
     assert len(gains_table(arms_of(tmp_path)).rows) == 1
+
+
+def test_somebody_elses_policy_stands_in_the_tables_paired(runs):
+    theirs = [foreign("Pi", 0.25, "none"), foreign("Pi", 0.5), foreign("Pi", pairs=4, views=2)]
+    arms = [*arms_of(runs), *group(theirs)]
+    rows = [row[:2] for row in table_one(arms).rows if row[1].startswith("foreign")]
+    assert rows == [
+        ["Pi", "foreign\nsettings of its own"],
+        ["Pi\nw. conditioning", "foreign\ngiven\nsettings of its own"],
+        ["", "foreign\ngiven\nsettings of its own"],
+    ]
+    gains = [row for row in gains_table(arms).rows if row[0] == "Pi"]
+    assert [(row[2], row[5][:5]) for row in gains] == [("given", "+25.0")]
+    beside = [(row[2], row[6], row[7][:5]) for row in foreign_table(arms).rows]
+    assert beside == [
+        ("none", "ACT, late, laptop preset", "-50.0"),
+        ("", "ACT, none, laptop preset", "+0.0 "),
+        ("given", "ACT, late, laptop preset", "-25.0"),
+        ("", "ACT, none, laptop preset", "+25.0"),
+        ("given", "–", "–"),  # with another number of cameras its pairs are others
+    ]
+    assert foreign_table(arms_of(runs)) is None
+    assert runs_table(theirs[:1], {}).rows[0][1] == "–"

@@ -2,7 +2,15 @@
 
 from dataclasses import replace
 
-from jaxcam.results.protocol import Protocol, counted, lacks, protocol_of
+from jaxcam.config.names import PolicyName, names_of
+from jaxcam.results.protocol import (
+    NOT_RECORDED,
+    Protocol,
+    counted,
+    is_foreign,
+    lacks,
+    protocol_of,
+)
 from jaxcam.results.rows import Row
 
 
@@ -17,6 +25,12 @@ def test_numbers_of_the_paper():
     assert protocol_of("smolvla").rollouts == 500
     assert protocol.steps(4000, 400) == [*range(4000, 0, -400)]
     assert protocol.steps(1000, 300) == [1000, 900, 600, 300]
+
+
+def test_of_somebody_elses_policy_there_is_one_set_of_weights():
+    assert protocol_of("OpenVLA 7B") == Protocol(seeds=1, checkpoints=1, pairs=50)
+    assert not any(map(is_foreign, (*names_of(PolicyName), NOT_RECORDED)))
+    assert protocol_of(NOT_RECORDED) == protocol_of("act")
 
 
 def test_what_counts_and_what_is_lacking():

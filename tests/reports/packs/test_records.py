@@ -6,8 +6,8 @@ import pytest
 from places import REPO
 
 from jaxcam.errors import DatasetError
-from jaxcam.reports.arms import read_results
-from jaxcam.reports.records import NAMED, read_records
+from jaxcam.reports.packs.folder import read_results
+from jaxcam.reports.packs.records import NAMED, read_records
 
 PUBLISHED = REPO / "results" / "lift"
 

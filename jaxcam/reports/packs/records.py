@@ -11,13 +11,12 @@ from typing import Any, Literal, cast, get_args, get_origin
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.files.paths import read_text
+from jaxcam.results.protocol import NOT_RECORDED
 from jaxcam.results.rows import USUAL_WAY
 from jaxcam.runs.identity import Settings, changes
 
 NAMED = ("task", "scene", "policy", "conditioning")
 """Settings that every run has."""
-NOT_RECORDED = "not recorded"
-"""Such a setting where nobody wrote it down."""
 
 
 def _kinds(annotation: Any) -> set[type]:
@@ -88,7 +87,9 @@ def _record(where: str, entry: Any) -> RunRecord:
     for name, fits, expected in checks:
         if not fits:
             raise DatasetError(f"{where}: {name} is {given.get(name)!r}, expected {expected}.")
-    settings = TrainConfig.completed(dict(cast("Mapping[str, Any]", given["settings"])))
+    settings = dict(cast("Mapping[str, Any]", given["settings"]))
+    if settings.get("preset") is not None:  # what was not trained here lacks nothing
+        settings = TrainConfig.completed(settings)
     settings |= {name: NOT_RECORDED for name in NAMED if name not in settings}
     for name, value in settings.items():
         if not _fits(name, value):

@@ -1,0 +1,219 @@
+"""Runs, read from run folders, results folders, packs, or folders that hold such."""
+
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from jaxcam.errors import ConfigError
+from jaxcam.files.paths import absolute
+from jaxcam.interrupts import check_stop
+from jaxcam.reports.arms import Run, kind_of_pairs
+from jaxcam.reports.packs.folder import read_results, run_key
+from jaxcam.reports.packs.pack import Pack, is_pack, read_pack
+from jaxcam.reports.packs.records import NAMED
+from jaxcam.results.protocol import NOT_RECORDED
+from jaxcam.results.rows import USUAL_WAY, Row
+from jaxcam.results.stats import latest_rows
+from jaxcam.runs.foreign import has_foreign, read_foreign
+from jaxcam.runs.identity import Settings, identity, read_config
+from jaxcam.runs.manifests import record_of_weights, sides
+from jaxcam.runs.metrics import read_metrics
+from jaxcam.runs.rollouts import of_one_run, read_rows, read_run_rows
+
+
+def read_runs(paths: Iterable[str | Path], split: str = "test") -> list[Run]:
+    """All runs in and below folders; each run once, however often it is met.
+
+    Args:
+        paths: Run folders, results folders, or folders that hold such.
+        split: Which pairs: "test" or "validation".
+
+    Raises:
+        ConfigError: A folder has no run, two runs of the same settings and seed disagree, or a pair
+            of one run is not the pair of that number in another.
+    """
+    runs: dict[str, Run] = {}
+    for path in map(absolute, paths):
+        folders = list(_find(path, set()))
+        if not folders:
+            raise ConfigError(
+                f"No run in {path}: neither it nor a folder below it has a config.json or a "
+                "rows.jsonl."
+            )
+        for folder in folders:
+            check_stop()
+            for run in _read(folder, split):
+                key = run_key(run)
+                runs[key] = _merge(runs[key], run) if key in runs else run
+    _check_pairs(runs.values())
+    return list(runs.values())
+
+
+def read_packs(paths: Iterable[str | Path]) -> list[Pack]:
+    """All packs in and below folders, each once, with pairs that can be compared.
+
+    Args:
+        paths: Packs, or folders that hold packs.
+
+    Raises:
+        ConfigError: A folder has none, or rows that are in no pack; or a pair of one pack is not
+            the pair of that number in another.
+        DatasetError: A pack is damaged.
+    """
+    packs: dict[str, Pack] = {}
+    for path in map(absolute, paths):
+        folders = list(_find(path, set()))
+        if loose := [folder for folder in folders or [path] if not is_pack(folder)]:
+            raise ConfigError(
+                f"{loose[0]} is no pack, since it has no pack.json. A leaderboard is made of "
+                f"packs: python -m jaxcam.report {loose[0]} --pack FOLDER makes one."
+            )
+        for folder in folders:
+            check_stop()
+            pack = read_pack(folder)
+            packs.setdefault(pack.manifest.digest, pack)
+    _check_pairs(run for pack in packs.values() for run in _runs_of(pack))
+    return list(packs.values())
+
+
+def training_seconds(metrics: Sequence[Mapping[str, Any]]) -> float:
+    """Wall time of a run: "seconds" counts from the start of a process, so a resumed run adds up.
+
+    Args:
+        metrics: Rows of metrics.jsonl.
+    """
+    total = last = 0.0
+    for row in metrics:
+        if (now := row.get("seconds")) is None:
+            continue
+        if now < last:
+            total += last
+        last = now
+    return total + last
+
+
+def _find(path: Path, known: set[Path]) -> Iterator[Path]:
+    """The run and results folders at or below a path, each folder once: links may lead back.
+
+    Results may have been written into a folder of runs, and then do not hide them.
+    """
+    if not path.is_dir() or (real := path.resolve()) in known:
+        return
+    known.add(real)
+    is_whole = (path / "config.json").is_file() or has_foreign(path) or is_pack(path)
+    if is_whole or (path / "rows.jsonl").is_file():
+        yield path
+    for child in [] if is_whole else sorted(path.iterdir()):
+        yield from _find(child, known)
+
+
+def _read(folder: Path, split: str) -> list[Run]:
+    if is_pack(folder):
+        runs = _runs_of(read_pack(folder))
+        return [replace(run, rows=[r for r in run.rows if r.split == split]) for run in runs]
+    if (folder / "config.json").is_file():
+        return [_read_run(folder, split)]
+    if has_foreign(folder):
+        return [_read_foreign(folder, split)]
+    if (folder / "runs.json").is_file():
+        return read_results(folder, split)
+    return _read_rows(folder, split)
+
+
+def _runs_of(pack: Pack) -> list[Run]:
+    """The runs of a pack, which say what it was written with."""
+    source = f"{pack.folder} ({pack.manifest.written_with()})"
+    return [replace(run, source=source) for run in pack.runs]
+
+
+def _read_run(folder: Path, split: str) -> Run:
+    config = read_config(folder)
+    rows = [row for row in latest_rows(read_run_rows(folder)) if row.split == split]
+    settings = identity(config) | _ways(rows)
+    if config.weights:
+        settings["weights"] = _kind_of_weights(folder, config.weights)
+    if config.dataset:
+        settings["dataset"] = _content_of_data(folder, config.dataset)
+    seconds = training_seconds(read_metrics(folder))
+    return Run(folder.name, folder, settings, config.seed, rows, seconds, str(folder))
+
+
+def _read_foreign(folder: Path, split: str) -> Run:
+    """Somebody else's policy: one run, of which no seed is known."""
+    rows = [row for row in latest_rows(read_run_rows(folder)) if row.split == split]
+    settings = read_foreign(folder).settings | _ways(rows)
+    return Run(folder.name, folder, settings, None, rows, source=str(folder))
+
+
+def _read_rows(folder: Path, split: str) -> list[Run]:
+    """The runs of rows alone: their settings are known as far as rows say them."""
+    file = folder / "rows.jsonl"
+    of_runs: dict[tuple[Any, ...], list[tuple[str, Row]]] = {}
+    for number, row in enumerate(read_rows(file), start=1):
+        key = tuple(getattr(row, name) for name in (*NAMED, "seed", "run"))
+        of_runs.setdefault(key, []).append((f"{file}, line {number}", row))
+    runs = []
+    for (*shared, seed, name), given in of_runs.items():
+        rows = [row for row in latest_rows(of_one_run(given)) if row.split == split]
+        settings = {k: v or NOT_RECORDED for k, v in zip(NAMED, shared, strict=True)}
+        if rows:
+            settings |= _ways(rows)
+            runs.append(Run(name or folder.name, None, settings, seed, rows, source=str(folder)))
+    return runs
+
+
+def _merge(one: Run, other: Run) -> Run:
+    """The rollouts of both; they are the same run, or it is an error."""
+    known = {(row.step, row.pair): row for row in one.rows}
+    for row in other.rows:
+        before = known.setdefault((row.step, row.pair), row)
+        if before.success != row.success:
+            raise ConfigError(
+                f"{one.source} and {other.source} have the same settings and the same seed "
+                f"({one.seed}), but pair {row.pair} at step {row.step} ended differently. They are "
+                "two runs of one thing: give only one of them."
+            )
+    return replace(one if one.folder else other, rows=list(known.values()))
+
+
+def _check_pairs(runs: Iterable[Run]) -> None:
+    """Refuses runs that were evaluated on different pairs; older rows have no hash of theirs."""
+    first: dict[tuple[Any, ...], tuple[str, Run]] = {}
+    for run in runs:
+        kind = kind_of_pairs(run.settings)
+        for row in run.rows:
+            if row.pair_sha is None:
+                continue
+            known, other = first.setdefault((*kind, row.split, row.pair), (row.pair_sha, run))
+            if known != row.pair_sha:
+                raise ConfigError(
+                    f"{other.source} and {run.source} were evaluated on different pairs of the "
+                    f"same number: pair {row.pair} of {kind[0]}, {kind[1]}, {row.split}, is "
+                    f"{known} in the one and {row.pair_sha} in the other. It starts from another "
+                    "state or is seen by other cameras, as with another version of jaxcam, MuJoCo "
+                    "or robosuite, so they cannot be compared. Evaluate both with one version, or "
+                    "leave one of them out."
+                )
+
+
+def _ways(rows: Iterable[Row]) -> Settings:
+    """How the policy was run."""
+    used = {name: sorted({getattr(row, name) for row in rows}) for name in USUAL_WAY}
+    return {k: USUAL_WAY[k] if not v else v[0] if len(v) == 1 else v for k, v in used.items()}
+
+
+def _kind_of_weights(folder: Path, name: str) -> str:
+    """What the weights are, and the start of their digest; their path if no record tells."""
+    record = record_of_weights(folder)
+    if record is None:
+        return os.path.normpath(name)
+    return f"{record.kind or Path(name).stem} {record.sha256[:8]}".rstrip()
+
+
+def _content_of_data(folder: Path, name: str) -> str:
+    """A dataset's name and the start of its fingerprint; its path if no checkpoint tells."""
+    for side in sides(folder).values():
+        return f"{Path(name).stem} {str(side['data'])[:8]}"
+    return os.path.normpath(name)
