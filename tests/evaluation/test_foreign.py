@@ -18,10 +18,10 @@ from jaxcam.config.foreign import ForeignConfig, ObsMap
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, NoServerError
 from jaxcam.evaluation.evaluator import Candidate, Evaluator
-from jaxcam.evaluation.foreign import Foreign, evaluate_foreign, source_of
+from jaxcam.evaluation.foreign import ForeignPolicy, evaluate_foreign, policy_source
 from jaxcam.evaluation.mapping import read_map
-from jaxcam.evaluation.sources import Server
-from jaxcam.evaluation.terms import names_of, record_of
+from jaxcam.evaluation.sources import PolicyServer
+from jaxcam.evaluation.terms import names_sent, settled
 from jaxcam.models import Policy, PolicySpec
 from jaxcam.reports.arms import group
 from jaxcam.reports.reading import read_runs
@@ -139,7 +139,9 @@ def test_the_same_command_goes_on_and_a_server_that_is_gone_ends_it(tmp_path, mo
             raise ConnectionRefusedError
         return connect(*args, **kwargs)
 
-    monkeypatch.setattr("jaxcam.evaluation.foreign.Server", partial(Server, patience=0.1))
+    monkeypatch.setattr(
+        "jaxcam.evaluation.foreign.PolicyServer", partial(PolicyServer, patience=0.1)
+    )
     how = {"pairs": 4, "width": 2, "name": "theirs"}
     with policy_server(Torch(), {"run": "theirs"}) as address:
         connect = jaxcam.client.connect
@@ -168,10 +170,10 @@ def test_rows_of_another_policy_or_way_are_not_mixed(tmp_path, monkeypatch):
 
 
 def test_a_map_is_obeyed_and_kept(tmp_path, monkeypatch):
-    seen = []
+    shown = []
 
     def policy(observation):
-        seen.append(observation)
+        shown.append(observation)
         return {"chunk": np.zeros((2, 8))}
 
     file = tmp_path / "map.yaml"
@@ -183,7 +185,7 @@ def test_a_map_is_obeyed_and_kept(tmp_path, monkeypatch):
     how = {"name": "a", "obs": str(file), "resolution": None}
     rows = evaluated(address, tmp_path / "a", **how)
     assert [row.status for row in rows] == ["ok"] * WIDTH
-    assert {name: value.shape for name, value in seen[0].items()} == {
+    assert {name: value.shape for name, value in shown[0].items()} == {
         "image": (2, 16, 24, 3), "joints": (2, 7)
     }  # fmt: skip
     assert read_map(str(tmp_path / "a" / "obs.yaml")).keys == read_map(str(file)).keys
@@ -199,8 +201,8 @@ def test_one_object_cannot_remember_several_episodes(monkeypatch):
 
     flags = ForeignConfig(policy=function(monkeypatch, Remembering()))
     with pytest.raises(ConfigError, match="has reset"):
-        source_of(flags, 2)
-    assert source_of(flags, 1).remembers
+        policy_source(flags, 2)
+    assert policy_source(flags, 1).remembers
 
 
 @pytest.mark.parametrize(
@@ -242,9 +244,9 @@ def test_a_run_behind_our_server_moves_as_it_does_here_bit_for_bit(tmp_path):
     service = Service(config, simulated_interface(config), asked, Rig({}))
     with serving(service) as address:
         flags = ForeignConfig(policy=address)
-        source = source_of(flags, WIDTH)
-        record = record_of(flags, ObsMap(), source)
-        foreign = Foreign(record, source, names_of(record, WIDTH), tmp_path / "foreign")
+        source = policy_source(flags, WIDTH)
+        record = settled(flags, ObsMap(), source)
+        foreign = ForeignPolicy(record, source, names_sent(record, WIDTH), tmp_path / "foreign")
         there, moved = evaluator.run(foreign, "test", [0, 1])
     here, moves = evaluator.run(candidate, "test", [0, 1])
     np.testing.assert_array_equal(moved.qpos[:, :2], moves.qpos[:, :2])
