@@ -79,7 +79,7 @@ def as_batch(observation: Mapping[str, Any], views: list[str]) -> dict[str, torc
 
 
 def handler_of(infer: Infer, metadata: Mapping[str, Any]) -> Callable[[ServerConnection], None]:
-    """openpi's protocol for one client: metadata, then an answer to each observation.
+    """The protocol of openpi for one client: metadata, then an answer to each observation.
 
     Args:
         infer: Gives the actions for an observation; one question at a time.

@@ -1,1 +1,1 @@
-"""Rollouts of checkpoints on held-out pairs of initial state and camera pose, as rows."""
+"""Rollouts of checkpoints and of foreign policies on held-out pairs, as rows."""

@@ -14,7 +14,7 @@ import numpy as np
 from jaxcam.console.words import plain_line
 from jaxcam.errors import PortError
 from jaxcam.evaluation.mapping import Names, observation_of, sent
-from jaxcam.evaluation.sources import FailedError, Function, Source, Talk, answered
+from jaxcam.evaluation.sources import FailedError, PolicyFunction, PolicySource, Talk, answered
 from jaxcam.sim.rollout import BEYOND
 
 _LONGEST = 300
@@ -34,7 +34,7 @@ class Asking:
         execute: Steps of a chunk that are executed; as many as its first one has when None.
     """
 
-    source: Source
+    source: PolicySource
     names: Names
     prompt: str
     answer: str
@@ -90,7 +90,7 @@ class Asking:
         self, asked: Sequence[int], questions: Sequence[Mapping[str, Any]]
     ) -> list[Any | FailedError]:
         """What is answered to each, or why nothing is."""
-        batched = self.source.batched if isinstance(self.source, Function) else None
+        batched = self.source.batched if isinstance(self.source, PolicyFunction) else None
         if batched:
             try:
                 answers = list(answered(batched, questions))

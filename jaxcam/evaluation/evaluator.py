@@ -132,9 +132,13 @@ class Candidate:
     folder: Path
     step: int
 
-    @functools.cached_property
+    @property
     def weights_sha(self) -> str:
         """Digest of the parameters, which ties rows to them."""
+        return self._digest
+
+    @functools.cached_property
+    def _digest(self) -> str:
         return weights_digest({name: describe(x) for name, x in flatten(self.params).items()})
 
     @contextlib.contextmanager

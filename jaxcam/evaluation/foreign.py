@@ -18,14 +18,14 @@ from jaxcam.evaluation.asking import Asking
 from jaxcam.evaluation.checkpoint import Wanted, evaluate
 from jaxcam.evaluation.evaluator import Evaluator
 from jaxcam.evaluation.mapping import Names, read_map, write_map
-from jaxcam.evaluation.sources import Function, Server, Source
-from jaxcam.evaluation.terms import map_of, names_of, record_of
+from jaxcam.evaluation.sources import PolicyFunction, PolicyServer, PolicySource
+from jaxcam.evaluation.terms import map_of, names_sent, settled
 from jaxcam.files.paths import absolute, home, read_text
 from jaxcam.reports.run_figures import write_plots
 from jaxcam.reports.run_page import write_report
 from jaxcam.results.stats import causes, latest_rows, success_rate
 from jaxcam.runs.environment import record_environment
-from jaxcam.runs.foreign import ForeignRecord, adopt
+from jaxcam.runs.foreign import ForeignRecord, keep_record
 from jaxcam.runs.rollouts import read_run_rows
 from jaxcam.sim import engine_name, make_task, simulator_of
 from jaxcam.sim.actions import action_dim
@@ -33,7 +33,7 @@ from jaxcam.sim.rollout import Agent
 
 
 @dataclass(frozen=True)
-class Foreign:
+class ForeignPolicy:
     """Somebody else's policy, which is evaluated.
 
     Attributes:
@@ -44,7 +44,7 @@ class Foreign:
     """
 
     record: ForeignRecord
-    source: Source
+    source: PolicySource
     names: Names
     folder: Path
     step: int = 0
@@ -86,26 +86,26 @@ def evaluate_foreign(config: EvaluateConfig, console: Console | None) -> Path:
     """
     flags = config.foreign
     wanted = read_map(flags.obs) if flags.obs else ObsMap()
-    source = source_of(flags, config.width)
-    record = record_of(flags, wanted, source)
-    names = names_of(record, config.width)
+    source = policy_source(flags, config.width)
+    record = settled(flags, wanted, source)
+    names = names_sent(record, config.width)
     engine = _engine(config.engine, record)
     make_task(record.task).require()
     folder = absolute(flags.run_dir or f"runs/foreign-{record.task}-{record.scene}-{record.name}")
-    adopt(folder, record)
+    keep_record(folder, record)
     record_environment(folder)
     write_map(folder / "obs.yaml", map_of(record))
     if console:
         console.print(_told(record, names), soft_wrap=True, highlight=False)
     evaluator = Evaluator(record, config.width, engine)
-    candidate = Foreign(record, source, names, folder)
+    candidate = ForeignPolicy(record, source, names, folder)
     wanted_pairs = Wanted(config.split, config.pairs, config.videos)
     evaluate(evaluator, candidate, wanted_pairs, console)
     _conclude(config, folder, console)
     return folder
 
 
-def source_of(flags: ForeignConfig, width: int) -> Source:
+def policy_source(flags: ForeignConfig, width: int) -> PolicySource:
     """Where the policy is that the flags name.
 
     Args:
@@ -118,8 +118,8 @@ def source_of(flags: ForeignConfig, width: int) -> Source:
     """
     if flags.is_server:
         key = _key(flags)
-        return Server(flags.policy, key, flags.timeout, flags.at_once or 0)
-    function = Function(flags.policy)
+        return PolicyServer(flags.policy, key, flags.timeout, flags.at_once or 0)
+    function = PolicyFunction(flags.policy)
     if function.remembers and width > 1:
         raise ConfigError(
             f"--policy {flags.policy} has reset(), so it remembers an episode, and {width} are run "

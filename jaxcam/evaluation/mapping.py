@@ -26,7 +26,7 @@ _PART = re.compile(r"([^\[\]]+)(?:\[(\d{1,6}):(\d{1,6})\])?")
 
 
 @dataclass(frozen=True)
-class Part:
+class Piece:
     """An entry of our observation, or numbers of it.
 
     Attributes:
@@ -43,7 +43,7 @@ class Part:
         return value if self.span is None else value[..., slice(*self.span)]
 
 
-Names = Mapping[str, tuple[Part, ...]]
+Names = Mapping[str, tuple[Piece, ...]]
 """Their names, and of which parts of ours each is made."""
 
 
@@ -87,7 +87,7 @@ def our_names(views: Sequence[str]) -> list[str]:
     return [*(name for names in of_views for name in names), STATE, PROMPT]
 
 
-def view_names(views: int) -> list[str]:
+def numbered_views(views: int) -> list[str]:
     """What our views are called."""
     return [f"view_{v}" for v in range(views)]
 
@@ -103,7 +103,7 @@ def names_of_map(keys: Mapping[str, Any], views: int, state: int) -> Names:
     Raises:
         ConfigError: An entry is of something that we have not; with the closest name.
     """
-    known = [*our_names(view_names(views)), *CHANCE]
+    known = [*our_names(numbered_views(views)), *CHANCE]
     return {
         theirs: tuple(_part(theirs, one, known, state) for one in _several(theirs, ours))
         for theirs, ours in keys.items()
@@ -122,13 +122,13 @@ def _several(theirs: str, ours: Any) -> list[str]:
     return several
 
 
-def _part(theirs: str, text: str, known: Sequence[str], state: int) -> Part:
+def _part(theirs: str, text: str, known: Sequence[str], state: int) -> Piece:
     match = _PART.fullmatch(text.replace("/", "."))
     name = match[1] if match else text
     if match is None or name not in known:
         raise ConfigError(f"keys, {theirs}: we have no {text!r:.80}{closest(name, known)}.")
     if match[2] is None:
-        return Part(name)
+        return Piece(name)
     span = int(match[2]), int(match[3])
     if name != STATE:
         raise ConfigError(f"keys, {theirs}: only {STATE} has parts, got {text!r}.")
@@ -137,7 +137,7 @@ def _part(theirs: str, text: str, known: Sequence[str], state: int) -> Part:
             f"keys, {theirs}: {STATE} has the numbers 0 to {state - 1}, as [0:{state}]; got "
             f"{text!r}."
         )
-    return Part(name, span)
+    return Piece(name, span)
 
 
 def renamed(views: Sequence[str], *more: str) -> Names:
@@ -148,8 +148,8 @@ def renamed(views: Sequence[str], *more: str) -> Names:
         *more: What else is sent, of `CHANCE`.
     """
     theirs = [*our_names(views), *more]
-    ours = [*our_names(view_names(len(views))), *more]
-    return {there: (Part(here),) for there, here in zip(theirs, ours, strict=True)}
+    ours = [*our_names(numbered_views(len(views))), *more]
+    return {there: (Piece(here),) for there, here in zip(theirs, ours, strict=True)}
 
 
 def observation_of(
@@ -170,7 +170,7 @@ def observation_of(
         image, K, pose = image.swapaxes(0, 1), K[-1], pose[-1]
     ours: dict[str, Any] = {STATE: np.array(state, np.float32), PROMPT: prompt}
     ours |= zip(CHANCE, (call, episode), strict=True)
-    for v, name in enumerate(view_names(len(K))):
+    for v, name in enumerate(numbered_views(len(K))):
         ours[f"observation.images.{name}"] = np.array(image[v])
         ours[f"camera.{name}.intrinsics"] = np.array(K[v], np.float32)
         ours[f"camera.{name}.base_from_camera"] = np.array(pose[v], np.float32)

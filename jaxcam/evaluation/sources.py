@@ -14,7 +14,7 @@ from typing import Any, Protocol, cast
 
 from jaxcam.client import Client
 from jaxcam.errors import ConfigError, NoServerError, PortError, RefusedError, closest
-from jaxcam.runs.foreign import digest, plain
+from jaxcam.runs.foreign import as_json, digest
 
 
 class FailedError(Exception):
@@ -47,7 +47,7 @@ class Talk(Protocol):
         ...
 
 
-class Source(Protocol):
+class PolicySource(Protocol):
     """Somebody else's policy.
 
     Attributes:
@@ -72,7 +72,7 @@ class Source(Protocol):
 
 
 @dataclass
-class Server:
+class PolicyServer:
     """A policy behind a socket; each episode has a connection of its own.
 
     Args:
@@ -95,7 +95,7 @@ class Server:
 
     def __post_init__(self) -> None:
         client = self._connect()
-        self.metadata = plain(dict(client.metadata))
+        self.metadata = as_json(dict(client.metadata))
         client.close()
         self.sha = digest(self.metadata)
         together = self.metadata.get("width")
@@ -109,7 +109,7 @@ class Server:
             NoServerError: There is no such server any more, or another one.
         """
         client = self._connect(answer)
-        if digest(plain(dict(client.metadata))) != self.sha:
+        if digest(as_json(dict(client.metadata))) != self.sha:
             client.close()
             raise NoServerError(
                 f"{self.address} says something else of itself than when this evaluation began, "
@@ -158,7 +158,7 @@ class _Connection:
         self.client.close()
 
 
-class Function:
+class PolicyFunction:
     """A policy in Python, NumPy in and NumPy out.
 
     It is a function of an observation; or an object with `infer(observation)` and perhaps
@@ -180,7 +180,7 @@ class Function:
         said = getattr(self._target, "metadata", None) or {}
         if not isinstance(said, Mapping):
             raise ConfigError(f"--policy {address}: its metadata is no dict.")
-        self.metadata: dict[str, Any] = plain(dict(cast("Mapping[Any, Any]", said)))
+        self.metadata: dict[str, Any] = as_json(dict(cast("Mapping[Any, Any]", said)))
         file = Path(getattr(module, "__file__", None) or "")
         code = file.read_bytes().hex() if file.is_file() else ""
         self.sha = digest(self.metadata, address, code)

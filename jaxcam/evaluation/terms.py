@@ -14,8 +14,8 @@ from jaxcam.config.foreign import ForeignConfig, ObsMap
 from jaxcam.config.names import ActionSpace, PolicyName, Rotations, TaskName
 from jaxcam.config.sizes import rows_and_columns, size_name
 from jaxcam.errors import ConfigError
-from jaxcam.evaluation.mapping import CHANCE, Names, names_of_map, renamed, view_names
-from jaxcam.evaluation.sources import Source
+from jaxcam.evaluation.mapping import CHANCE, Names, names_of_map, numbered_views, renamed
+from jaxcam.evaluation.sources import PolicySource
 from jaxcam.reports.names import file_name
 from jaxcam.runs.foreign import ForeignRecord
 from jaxcam.runs.identity import USUAL_SPACE
@@ -27,7 +27,7 @@ _SIDE: Final = 84
 """Pixels of pictures of which nobody says how large they are to be."""
 
 
-def record_of(flags: ForeignConfig, wanted: ObsMap, source: Source) -> tuple[ForeignRecord, Names]:
+def settled(flags: ForeignConfig, wanted: ObsMap, source: PolicySource) -> ForeignRecord:
     """What is asked of a policy, and how: flags come first, then the map, then what it says itself.
 
     Args:
@@ -65,7 +65,7 @@ def record_of(flags: ForeignConfig, wanted: ObsMap, source: Source) -> tuple[For
     )
 
 
-def names_of(record: ForeignRecord, width: int) -> Names:
+def names_sent(record: ForeignRecord, width: int) -> Names:
     """What a policy is sent, under its names.
 
     Args:
@@ -79,7 +79,7 @@ def names_of(record: ForeignRecord, width: int) -> Names:
     if record.keys is not None:
         return names_of_map(record.keys, record.views, PROPRIO_DIM)
     views, metadata = Said.of(record.metadata).views or (), record.metadata
-    theirs = views if len(views) == record.views else view_names(record.views)
+    theirs = views if len(views) == record.views else numbered_views(record.views)
     alike = metadata.get("draws") is True and metadata.get("width") == width
     return renamed(theirs, *(CHANCE if alike else ()))
 
@@ -151,7 +151,7 @@ def _size(value: Any) -> int | str | None:
     return size_name(*value)
 
 
-def _name(flags: ForeignConfig, source: Source) -> str:
+def _name(flags: ForeignConfig, source: PolicySource) -> str:
     """What the policy is called; a name that it has by itself is made one of a file."""
     ours = get_args(PolicyName)
     if not flags.name:

@@ -16,7 +16,7 @@ from jaxcam.reports.packs.records import NAMED
 from jaxcam.results.protocol import NOT_RECORDED
 from jaxcam.results.rows import USUAL_WAY, Row
 from jaxcam.results.stats import latest_rows
-from jaxcam.runs.foreign import has_foreign, read_foreign
+from jaxcam.runs.foreign import has_foreign, read_foreign_record
 from jaxcam.runs.identity import Settings, identity, read_config
 from jaxcam.runs.manifests import record_of_weights, sides
 from jaxcam.runs.metrics import read_metrics
@@ -116,7 +116,7 @@ def _read(folder: Path, split: str) -> list[Run]:
     if (folder / "config.json").is_file():
         return [_read_run(folder, split)]
     if has_foreign(folder):
-        return [_read_foreign_run(folder, split)]
+        return [_read_foreign(folder, split)]
     if (folder / "runs.json").is_file():
         return read_results(folder, split)
     return _read_rows(folder, split)
@@ -140,10 +140,10 @@ def _read_run(folder: Path, split: str) -> Run:
     return Run(folder.name, folder, settings, config.seed, rows, seconds, str(folder))
 
 
-def _read_foreign_run(folder: Path, split: str) -> Run:
-    """Somebody else's policy: one arm with one run, of which no seed is known."""
+def _read_foreign(folder: Path, split: str) -> Run:
+    """Somebody else's policy: one run, of which no seed is known."""
     rows = [row for row in latest_rows(read_run_rows(folder)) if row.split == split]
-    settings = read_foreign(folder).settings | _ways(rows)
+    settings = read_foreign_record(folder).settings | _ways(rows)
     return Run(folder.name, folder, settings, None, rows, source=str(folder))
 
 

@@ -21,7 +21,7 @@ from jaxcam.results.actions import ActionErrors
 from jaxcam.results.rows import Row
 from jaxcam.results.stats import Estimate, by_field, causes, latest_rows, success_rate
 from jaxcam.runs.action_errors import read_errors
-from jaxcam.runs.foreign import has_foreign, read_foreign
+from jaxcam.runs.foreign import has_foreign, read_foreign_record
 from jaxcam.runs.identity import RECORDED, differences, plain, read_config, resolve
 from jaxcam.runs.metrics import MetricsRow, read_metrics
 from jaxcam.runs.rollouts import read_run_rows
@@ -113,7 +113,7 @@ def _about(run_dir: str | Path, shown: Sequence[Row], newest: int) -> _About:
 
 def _about_foreign(run: Path, shown: Sequence[Row]) -> _About:
     """Of somebody else's policy."""
-    record = read_foreign(run)
+    record = read_foreign_record(run)
     known = (("Policy", record.name), ("At", record.address), ("Conditioning", record.conditioning))
     facts = {
         **dict(known),

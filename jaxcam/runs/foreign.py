@@ -99,7 +99,7 @@ def has_foreign(folder: Path) -> bool:
     return (folder / FILE).is_file()
 
 
-def read_foreign(folder: Path) -> ForeignRecord:
+def read_foreign_record(folder: Path) -> ForeignRecord:
     """The record of a foreign policy's folder.
 
     Raises:
@@ -112,7 +112,7 @@ def read_foreign(folder: Path) -> ForeignRecord:
     return from_json(ForeignRecord, text, str(folder / FILE))
 
 
-def adopt(folder: Path, record: ForeignRecord) -> None:
+def keep_record(folder: Path, record: ForeignRecord) -> None:
     """Makes the folder of a foreign policy, or sees that the one that is there is this policy's.
 
     A server may have moved, if it says anything by which it is known.
@@ -127,7 +127,7 @@ def adopt(folder: Path, record: ForeignRecord) -> None:
     if (folder / "config.json").exists():
         raise ConfigError(f"{folder} is the folder of a run. Choose another --run-dir.")
     if has_foreign(folder):
-        known = read_foreign(folder)
+        known = read_foreign_record(folder)
         apart = {"weights_sha", "address"} if record.metadata else {"weights_sha"}
         names = [f.name for f in dataclasses.fields(record) if f.name not in apart]
         changed = [name for name in names if getattr(known, name) != getattr(record, name)]
@@ -154,14 +154,14 @@ def _differences(known: ForeignRecord, record: ForeignRecord, names: list[str]) 
     return "; ".join(words) or "the function's file has changed"
 
 
-def plain(value: Any) -> Any:
+def as_json(value: Any) -> Any:
     """What a policy says of itself as JSON has it: arrays as lists, anything odd as text."""
     if isinstance(value, np.ndarray | np.generic):
         value = cast(Any, value).tolist()
     if isinstance(value, dict):
-        return {_text(str(k)): plain(v) for k, v in cast("dict[Any, Any]", value).items()}
+        return {_text(str(k)): as_json(v) for k, v in cast("dict[Any, Any]", value).items()}
     if isinstance(value, list | tuple):
-        return [plain(part) for part in cast("list[Any]", value)]
+        return [as_json(part) for part in cast("list[Any]", value)]
     if isinstance(value, str):
         return _text(value)
     whole = isinstance(value, int) and abs(value) < 2**63

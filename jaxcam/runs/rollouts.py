@@ -12,7 +12,7 @@ from jaxcam.errors import DatasetError
 from jaxcam.files.jsonl import read_jsonl
 from jaxcam.files.paths import absolute, read_text
 from jaxcam.results.rows import Row
-from jaxcam.runs.foreign import ForeignRecord, has_foreign, read_foreign
+from jaxcam.runs.foreign import ForeignRecord, has_foreign, read_foreign_record
 from jaxcam.runs.identity import read_config
 
 _OF_RUN = ("task", "scene", "policy", "conditioning", "seed")
@@ -161,7 +161,7 @@ def _said_of(run: Path) -> TrainConfig | ForeignRecord | None:
     """What a folder says of whom its rows are; None where it says nothing."""
     if (run / "config.json").is_file():
         return read_config(run)
-    return read_foreign(run) if has_foreign(run) else None
+    return read_foreign_record(run) if has_foreign(run) else None
 
 
 def _acted(run: Path, step: int, config: TrainConfig | ForeignRecord | None) -> str | None:

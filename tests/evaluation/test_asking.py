@@ -11,7 +11,7 @@ from policy_servers import HANG_UP, policy_server
 from jaxcam.errors import NoServerError, PortError
 from jaxcam.evaluation.asking import Asking
 from jaxcam.evaluation.mapping import renamed
-from jaxcam.evaluation.sources import Function, Server
+from jaxcam.evaluation.sources import PolicyFunction, PolicyServer
 
 BATCH, SIDE, CHUNK = 3, 16, 4
 OBS = {
@@ -47,7 +47,7 @@ def asking(source, **changes):
 
 
 def server(address, **settings):
-    return Server(address, **{"timeout": 5.0, "patience": 0.3, **settings})
+    return PolicyServer(address, **{"timeout": 5.0, "patience": 0.3, **settings})
 
 
 def function(monkeypatch, value):
@@ -55,7 +55,7 @@ def function(monkeypatch, value):
     module = type(sys)("their_policy")
     module.policy = value
     monkeypatch.setitem(sys.modules, "their_policy", module)
-    return Function("their_policy:policy")
+    return PolicyFunction("their_policy:policy")
 
 
 @pytest.mark.parametrize("at_once", [1, 8])

@@ -3,20 +3,33 @@
 import sys
 from functools import partial
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import torch
 from policy_servers import HANG_UP, policy_server
 from running import exit_code
+from served_runs import serving
 
 import jaxcam.client
 from jaxcam.config.commands import EvaluateConfig
-from jaxcam.config.foreign import ForeignConfig
+from jaxcam.config.foreign import ForeignConfig, ObsMap
+from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError, NoServerError
-from jaxcam.evaluation.foreign import evaluate_foreign, source_of
+from jaxcam.evaluation.evaluator import Candidate, Evaluator
+from jaxcam.evaluation.foreign import ForeignPolicy, evaluate_foreign, policy_source
 from jaxcam.evaluation.mapping import read_map
-from jaxcam.evaluation.sources import Server
-from jaxcam.reports.arms import group, read_runs
+from jaxcam.evaluation.sources import PolicyServer
+from jaxcam.evaluation.terms import names_sent, settled
+from jaxcam.models import Policy, PolicySpec
+from jaxcam.reports.arms import group
+from jaxcam.reports.reading import read_runs
+from jaxcam.robot.asked import AskedPolicy
+from jaxcam.robot.rig import Rig
+from jaxcam.robot.serving import Service
+from jaxcam.runs.identity import resolve
+from jaxcam.runs.interface import simulated_interface
 from jaxcam.runs.rollouts import read_run_rows
 from jaxcam.sim.tasks.lift import Lift
 
@@ -126,7 +139,9 @@ def test_the_same_command_goes_on_and_a_server_that_is_gone_ends_it(tmp_path, mo
             raise ConnectionRefusedError
         return connect(*args, **kwargs)
 
-    monkeypatch.setattr("jaxcam.evaluation.foreign.Server", partial(Server, patience=0.1))
+    monkeypatch.setattr(
+        "jaxcam.evaluation.foreign.PolicyServer", partial(PolicyServer, patience=0.1)
+    )
     how = {"pairs": 4, "width": 2, "name": "theirs"}
     with policy_server(Torch(), {"run": "theirs"}) as address:
         connect = jaxcam.client.connect
@@ -155,10 +170,10 @@ def test_rows_of_another_policy_or_way_are_not_mixed(tmp_path, monkeypatch):
 
 
 def test_a_map_is_obeyed_and_kept(tmp_path, monkeypatch):
-    seen = []
+    shown = []
 
     def policy(observation):
-        seen.append(observation)
+        shown.append(observation)
         return {"chunk": np.zeros((2, 8))}
 
     file = tmp_path / "map.yaml"
@@ -170,7 +185,7 @@ def test_a_map_is_obeyed_and_kept(tmp_path, monkeypatch):
     how = {"name": "a", "obs": str(file), "resolution": None}
     rows = evaluated(address, tmp_path / "a", **how)
     assert [row.status for row in rows] == ["ok"] * WIDTH
-    assert {name: value.shape for name, value in seen[0].items()} == {
+    assert {name: value.shape for name, value in shown[0].items()} == {
         "image": (2, 16, 24, 3), "joints": (2, 7)
     }  # fmt: skip
     assert read_map(str(tmp_path / "a" / "obs.yaml")).keys == read_map(str(file)).keys
@@ -186,8 +201,8 @@ def test_one_object_cannot_remember_several_episodes(monkeypatch):
 
     flags = ForeignConfig(policy=function(monkeypatch, Remembering()))
     with pytest.raises(ConfigError, match="has reset"):
-        source_of(flags, 2)
-    assert source_of(flags, 1).remembers
+        policy_source(flags, 2)
+    assert policy_source(flags, 1).remembers
 
 
 @pytest.mark.parametrize(
@@ -208,3 +223,33 @@ def test_flags_that_do_not_go_together(argv, message, capsys):
     assert exit_code("evaluate", *argv) == 2
     shown = capsys.readouterr()
     assert message in " ".join((shown.out + shown.err).replace("│", " ").split())
+
+
+def drawing(params, obs, key):
+    """A policy that depends on all that it is shown, now and before, and on chance."""
+    picture = obs["image"].astype(jnp.float32).mean((1, 2, 3, 4)) / 255  # [B, 3]
+    where = obs["proprio"][:, 0, 7:10] - obs["base_from_camera"][:, -1, 0, :3, 3]
+    move = 0.01 * (picture + where + obs["K"][:, -1, 0, :1, 2] / 100)
+    noise = 0.01 * jax.random.normal(key, (len(move), 3, 7))
+    return params["gain"] * (noise + jnp.pad(move, ((0, 0), (0, 4)))[:, None])
+
+
+def test_a_run_behind_our_server_moves_as_it_does_here_bit_for_bit(tmp_path):
+    config = resolve(TrainConfig(resolution=16, seed=3), accelerator=False)
+    spec = PolicySpec(7, 11, views=1, height=16, width=16, chunk=4, obs_steps=2)
+    policy = Policy(lambda key: {}, lambda *_: (jnp.zeros(()), {}), drawing, None, spec, 2)
+    candidate = Candidate(policy, {"gain": jnp.float32(1.0)}, tmp_path / "run", 7)
+    evaluator = Evaluator(config, WIDTH, "native")
+    asked = AskedPolicy(candidate, config.seed, WIDTH)
+    service = Service(config, simulated_interface(config), asked, Rig({}))
+    with serving(service) as address:
+        flags = ForeignConfig(policy=address)
+        source = policy_source(flags, WIDTH)
+        record = settled(flags, ObsMap(), source)
+        foreign = ForeignPolicy(record, source, names_sent(record, WIDTH), tmp_path / "foreign")
+        there, moved = evaluator.run(foreign, "test", [0, 1])
+    here, moves = evaluator.run(candidate, "test", [0, 1])
+    np.testing.assert_array_equal(moved.qpos[:, :2], moves.qpos[:, :2])
+    assert np.ptp(moves.qpos[:, :2], axis=0).max() > 0.01
+    assert [(row.success, row.steps) for row in there] == [(row.success, row.steps) for row in here]
+    assert source.at_once == WIDTH

@@ -7,7 +7,7 @@ import pytest
 from policy_servers import policy_server
 
 from jaxcam.errors import ConfigError, NoServerError
-from jaxcam.evaluation.sources import Function, Server
+from jaxcam.evaluation.sources import PolicyFunction, PolicyServer
 
 
 def write(folder, monkeypatch, text):
@@ -22,12 +22,12 @@ GOOD = "def infer(o): return o\ninfer.metadata = {'execute': 4}\nnumber = 3\ncla
 
 def test_a_function_is_known_by_its_file_and_what_it_says(tmp_path, monkeypatch):
     write(tmp_path, monkeypatch, GOOD)
-    source = Function("my_policy:infer")
+    source = PolicyFunction("my_policy:infer")
     assert source.metadata == {"execute": 4}
     monkeypatch.delitem(sys.modules, "my_policy")
-    assert Function("my_policy:infer").sha == source.sha
+    assert PolicyFunction("my_policy:infer").sha == source.sha
     write(tmp_path, monkeypatch, GOOD + "# changed\n")
-    assert Function("my_policy:infer").sha != source.sha
+    assert PolicyFunction("my_policy:infer").sha != source.sha
 
 
 @pytest.mark.parametrize(
@@ -45,7 +45,7 @@ def test_a_function_is_known_by_its_file_and_what_it_says(tmp_path, monkeypatch)
 def test_what_is_no_policy_is_refused(tmp_path, monkeypatch, address, message):
     write(tmp_path, monkeypatch, GOOD)
     with pytest.raises(ConfigError, match=message):
-        Function(address)
+        PolicyFunction(address)
 
 
 @pytest.mark.parametrize(
@@ -59,14 +59,14 @@ def test_what_is_no_policy_is_refused(tmp_path, monkeypatch, address, message):
 def test_a_module_that_cannot_be_used_is_told(tmp_path, monkeypatch, text, message):
     write(tmp_path, monkeypatch, text)
     with pytest.raises(ConfigError, match=message):
-        Function("my_policy:infer")
+        PolicyFunction("my_policy:infer")
 
 
 def test_a_class_that_cannot_be_made_is_told(tmp_path, monkeypatch):
     write(tmp_path, monkeypatch,
           "class P:\n  def __init__(self, a): pass\n  def infer(self, o): pass")  # fmt: skip
     with pytest.raises(ConfigError, match=r"P\(\) failed: TypeError"):
-        Function("my_policy:P").talk("actions")
+        PolicyFunction("my_policy:P").talk("actions")
 
 
 def test_a_server_is_known_by_what_it_says_wherever_it_is():
@@ -74,22 +74,22 @@ def test_a_server_is_known_by_what_it_says_wherever_it_is():
     shas = []
     for _ in range(2):
         with policy_server(lambda o: o, {"name": "a", "mean": np.float32([1, 2])}) as address:
-            shas.append(Server(address).sha)
+            shas.append(PolicyServer(address).sha)
     with policy_server(lambda o: o, {"name": "b"}) as address:
-        assert Server(address).sha != shas[0]
+        assert PolicyServer(address).sha != shas[0]
     assert shas[0] == shas[1]
     with policy_server(lambda o: o, said) as address:
-        assert Server(address).metadata == {"name": "a", "mean": [1, 2], "b'odd'": "nan"}
+        assert PolicyServer(address).metadata == {"name": "a", "mean": [1, 2], "b'odd'": "nan"}
 
 
 def test_a_server_of_ours_is_asked_as_many_at_once_as_it_answers_at_once():
     with policy_server(lambda o: o, {"width": 12}) as address:
-        assert Server(address).at_once == 12
-        assert Server(address, at_once=3).at_once == 3
+        assert PolicyServer(address).at_once == 12
+        assert PolicyServer(address, at_once=3).at_once == 3
     with policy_server(lambda o: o, {"width": "wide"}) as address:
-        assert Server(address).at_once == 1
+        assert PolicyServer(address).at_once == 1
 
 
 def test_no_server_is_told():
     with pytest.raises(NoServerError, match=r"No policy server answers at ws://127\.0\.0\.1:9:"):
-        Server("ws://127.0.0.1:9", patience=0.1)
+        PolicyServer("ws://127.0.0.1:9", patience=0.1)
