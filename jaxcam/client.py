@@ -217,8 +217,9 @@ class Client:
                     additional_headers=self._headers,
                     open_timeout=max(1.0, self._patience),
                 )
-                self._connection = self._open.enter_context(connecting)
-                first = self._connection.recv(self._timeout)
+                connection = cast(ClientConnection, self._open.enter_context(connecting))
+                self._connection = connection
+                first = connection.recv(self._timeout)
                 break
             except (InvalidURI, InvalidHandshake) as error:
                 raise NoServerError(f"{self.url} is no policy server for us: {error}.") from error
