@@ -48,10 +48,9 @@ def grip_ways(
     batch = dict(dataset.batch(demos, t, views, spec.chunk, spec.obs_steps))
     observed = {k: v for k, v in batch.items() if k not in ("action", "keyframe", "is_pad")}
     chunks = np.asarray(jax.jit(policy.act)(params, observed, jax.random.key(0)))
-    ahead = chunks[:, spec.obs_steps - 1 :]
     ways = []
     for i, (demo, step) in enumerate(zip(demos, t, strict=True)):
-        last = min(step + ahead.shape[1], dataset.lengths[demo] - 1)
+        last = min(step + chunks.shape[1], dataset.lengths[demo] - 1)
         recorded = dataset.proprio[demo, step : last + 1][:, list(grip)]
         newest = {k: v[i] if spec.obs_steps == 1 else v[i, -1] for k, v in observed.items()}
         picture = newest["image"][0]
@@ -60,7 +59,7 @@ def grip_ways(
             newest["K"][0], newest["base_from_camera"][0], height, width,
             newest["distortion"][0] if "distortion" in newest else None,
         )  # fmt: skip
-        leads = _targets(ahead[i, :, :3], recorded[0], meaning)
+        leads = _targets(chunks[i, :, :3], recorded[0], meaning)
         predicted = None if leads is None else _pixels(camera, np.stack([recorded[0], *leads]))
         ways.append(GripWay(picture, _pixels(camera, recorded), predicted, parts.all[demo].group))
     return ways

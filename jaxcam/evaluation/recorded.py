@@ -74,7 +74,8 @@ def _errors_of(
         degrees, metres = pose_error
         moved = perturb(still, jax.random.key(demo), np.deg2rad(degrees), metres)
         batch["base_from_camera"] = batch["base_from_camera"] @ np.asarray(moved)
-    targets, is_pad = batch.pop("action"), batch.pop("is_pad")
+    # Chunks of data begin at the oldest observation, those of a policy at the newest.
+    targets, is_pad = (batch.pop(name)[:, spec.obs_steps - 1 :] for name in ("action", "is_pad"))
     batch.pop("keyframe", None)
     predicted = np.asarray(act(params, batch, jax.random.key(0)))
     errors = np.where(is_pad[..., None], np.nan, np.abs(predicted - targets))

@@ -51,11 +51,19 @@ def test_errors_by_hand(learned_from):
 
 
 @pytest.mark.parametrize(
-    ("policy", "conditioning"), [("act", "keypoints"), ("act", "none"), ("diffusion", "keypoints")]
+    ("policy", "conditioning", "obs_steps"),
+    [
+        ("act", "keypoints", 1),
+        ("act", "none", 1),
+        ("diffusion", "keypoints", 1),
+        ("diffusion", "keypoints", 2),
+    ],
 )
-def test_wrong_poses_matter_only_to_who_is_told(learned_from, policy, conditioning):
+def test_wrong_poses_matter_only_to_who_is_told(learned_from, policy, conditioning, obs_steps):
     recording, parts, data = learned_from
-    fast = ("sample_steps=1",) if policy == "diffusion" else ("width=16", "hidden=16")
+    fast = ("width=16", "hidden=16")
+    if policy == "diffusion":
+        fast = ("sample_steps=1", f"obs_steps={obs_steps}")
     model = ("encoder_width=8", "keypoints=4", "keyframe_weight=0", *fast)
     config = TrainConfig(policy=policy, conditioning=conditioning, preset="laptop", model=model)
     network = policy_settings(resolve(config, accelerator=False), ("",))
@@ -64,3 +72,4 @@ def test_wrong_poses_matter_only_to_who_is_told(learned_from, policy, conditioni
     right, wrong = action_errors(made, params, data, parts, recording.action_names, 0)
     same = np.array_equal(right.errors, wrong.errors, equal_nan=True)
     assert same == (conditioning == "none")
+    assert right.errors.shape[1] == network.chunk - obs_steps + 1
