@@ -25,6 +25,7 @@ from jaxcam.reports.document import (
     Heading,
     Link,
     Picture,
+    Table,
     Text,
     to_html,
     to_latex,
@@ -37,6 +38,7 @@ from jaxcam.reports.packs.manifest import PackLabel
 from jaxcam.reports.packs.pack import is_pack, write_pack
 from jaxcam.reports.packs.page import write_leaderboard
 from jaxcam.reports.reading import read_packs, read_runs
+from jaxcam.reports.run_page import error_lines
 from jaxcam.reports.studies import STUDIES, arm_names, arms_of, panels, place
 from jaxcam.reports.study_figures import bars, curves, maps, rates_and_gains
 from jaxcam.reports.style import save
@@ -53,6 +55,8 @@ from jaxcam.reports.tables import (
     twins_of,
 )
 from jaxcam.results.protocol import protocol_of
+from jaxcam.runs.action_errors import read_errors
+from jaxcam.runs.identity import RECORDED
 
 WRITTEN = ("report.md", "report.tex", "report.csv", "rows.jsonl", "runs.json", "figures")
 """What is written beside the page."""
@@ -80,7 +84,7 @@ def write_comparison(runs: Sequence[Run], out: Path, split: str = "test") -> Pat
         write_atomically(page, to_html(Document(title, begun, []), out))
     arms = [arm for arm in group(runs) if arm.estimate.n or arm.estimate.excluded]
     blocks = [*_about(arms), *_main(arms, out), *_studies(arms, out), *_maps(arms, out)]
-    blocks += [Heading("Runs"), runs_table(runs, _videos(runs, out))]
+    blocks += [*_recorded(runs), Heading("Runs"), runs_table(runs, _videos(runs, out))]
     pairs = "held-out pairs" if split == "test" else f"{split} pairs"
     subtitle = f"Success on {pairs} of an initial state and a camera pose."
     document = Document(title, subtitle, blocks)
@@ -169,6 +173,21 @@ def _maps(arms: Sequence[Arm], out: Path) -> list[Block]:
     return [Heading("Success by camera direction"), *blocks] if blocks else []
 
 
+def _recorded(runs: Sequence[Run]) -> list[Block]:
+    """Errors of actions of the runs that learned from recorded data, which nobody can roll out."""
+    rows = [
+        [run.name, group, poses, error, str(count)]
+        for run in runs
+        if run.folder and run.settings["task"] == RECORDED
+        for group, poses, error, count in error_lines(read_errors(run.folder))
+    ]
+    if not rows:
+        return []
+    caption = "Errors of actions on what training did not see, in deviations of the actions"
+    head = ("Run", "On", "Told poses", "Error", "Episodes")
+    return [Heading("Recorded data"), Table(caption, head, rows)]
+
+
 def _by_conditioning(arms: Sequence[Arm]) -> dict[str, list[Arm]]:
     """The arms of Table I that differ in their conditioning only, by a name for files."""
     groups: dict[str, list[Arm]] = defaultdict(list)
@@ -239,12 +258,20 @@ def main(config: ReportConfig, console: Console) -> None:
     else:
         written = f"Report: {write_comparison(runs, out, config.split)}"
     for arm in group(run for run in runs if run.rows or not config.pack):
-        s = arm.settings
-        name = " ".join(str(s[k]) for k in ("policy", "task", "scene", "conditioning"))
-        whole = f" [{', '.join(arm.lacks)}]" if arm.lacks else ""
-        line = plain_line(f"{name}, {arm.label()}: {arm.estimate}{whole}")
-        console.print(line, soft_wrap=True)
+        console.print(plain_line(_in_words(arm)), soft_wrap=True)
     console.print(written, soft_wrap=True)
+
+
+def _in_words(arm: Arm) -> str:
+    """An arm and its success; runs on recorded data have none."""
+    settings = arm.settings
+    is_recorded = settings["task"] == RECORDED
+    words = ("policy", "task", *(() if is_recorded else ("scene",)), "conditioning")
+    name = " ".join(str(settings[k]) for k in words)
+    if is_recorded:
+        return f"{name}, {arm.label()}: errors of its actions are in the report"
+    whole = f" [{', '.join(arm.lacks)}]" if arm.lacks else ""
+    return f"{name}, {arm.label()}: {arm.estimate}{whole}"
 
 
 def _leaderboard(config: ReportConfig, console: Console) -> None:

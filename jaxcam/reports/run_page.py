@@ -68,7 +68,7 @@ def write_report(run_dir: str | Path) -> Path:
     content = render(
         "run.html",
         estimate=success_rate(shown) if about.evaluated else None,
-        errors=_errors(read_errors(run)),
+        errors=error_lines(read_errors(run)),
         causes=causes(shown),
         plots=_figures(run / "plots"),
         videos=_videos(run),
@@ -199,8 +199,16 @@ def _subject(config: TrainConfig) -> str:
     return f"{config.task}, {config.scene} scene"
 
 
-def _errors(rows: Sequence[ActionErrors]) -> list[tuple[str, str, str, int]]:
-    """A line for each group of the newest checkpoint: who, poses, error, episodes."""
+def error_lines(rows: Sequence[ActionErrors]) -> list[tuple[str, str, str, int]]:
+    """Errors of actions in words, a line for each group of the newest checkpoint.
+
+    Args:
+        rows: Of a run.
+
+    Returns:
+        On which episodes, told which poses, the error in deviations with its interval, and how many
+        episodes.
+    """
     newest = max((row.step for row in rows), default=0)
     lines = []
     for row in rows:

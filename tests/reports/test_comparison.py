@@ -7,16 +7,22 @@ import re
 import shutil
 import subprocess
 
+import numpy as np
 import pytest
 from made_runs import arms_of, make_run, make_studies
 from places import REPO
 from running import exit_code
 from web_page import Page
 
+from jaxcam.config.commands import ReportConfig
+from jaxcam.console.terminal import Terminal
 from jaxcam.reports.arms import group
+from jaxcam.reports.comparison import main as comparison_main
 from jaxcam.reports.comparison import write_comparison
 from jaxcam.reports.reading import read_runs
 from jaxcam.reports.tables import gains_table
+from jaxcam.results.actions import ActionErrors
+from jaxcam.runs.action_errors import errors_file
 
 
 def test_a_report_is_whole(runs, tmp_path):
@@ -117,3 +123,18 @@ def test_nothing_is_written_over_what_is_not_a_report_or_by_an_empty_one(tmp_pat
     assert exit_code("report", results, "--out", other) == 2
     assert exit_code("report", "--out", results) == 2  # no runs: not an empty report
     assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
+
+
+def test_runs_on_recorded_data_show_errors_of_their_actions(runs, tmp_path, capsys):
+    folder = make_run(tmp_path / "cups", pairs=0, task="recorded", dataset="cups")
+    rows = [
+        ActionErrors(step, "new cameras", 5, 0.05, ("x",), np.ones(1), np.full((2, 1, 1), error))
+        for step, error in ((1, 0.9), (2, 0.4))
+    ]
+    lines = "".join(json.dumps(row.to_json()) + "\n" for row in rows)
+    errors_file(folder).write_text(lines)
+    comparison_main(ReportConfig((str(runs), str(folder)), out=str(tmp_path / "out")), Terminal())
+    assert "errors of its actions are in the report" in capsys.readouterr().out
+    text = (tmp_path / "out" / "report.md").read_text()
+    assert "| cups | new cameras | 5°, 5 cm off | 0.40 [0.40, 0.40] | 2 |" in text
+    assert "0.90" not in text
