@@ -78,13 +78,15 @@ class ResetOptions:
         Raises:
             ConfigError: There is no such option, or no such value of it.
         """
-        given, known = given or {}, ("pair", "split", "reset_mask")
+        given, known = {} if given is None else given, ("pair", "split", "reset_mask")
+        if not isinstance(given, dict):
+            raise ConfigError(f"reset: options must be a dict, got {given!r:.80}.")
         for name in given:
             if name not in known:
                 raise ConfigError(f"reset: unknown option {name!r:.80}{closest(str(name), known)}.")
         again = _mask(given.get("reset_mask"), count)
         split = given.get("split", "test")
-        if split not in SPLITS:
+        if not isinstance(split, str) or split not in SPLITS:
             raise ConfigError(f"reset: unknown split {split!r:.80}{closest(str(split), SPLITS)}.")
         if given.get("pair") is None:
             if "split" in given:

@@ -57,7 +57,7 @@ class EnvOptions:
         check_most(self, MOST_STEPS, "horizon chunk")
         check_most(self, MOST_VIEWS, "views")
         for name in ("resolution", "render_size"):
-            rows_and_columns(getattr(self, name))
+            rows_and_columns(getattr(self, name), name)
         if self.reward == "shaped" and make_task(self.task).simulator != "mujoco":
             raise ConfigError(
                 f"reward must be sparse for {self.task}: the shaped reward is robosuite's, and this "

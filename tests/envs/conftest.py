@@ -2,10 +2,9 @@
 
 import gymnasium
 import pytest
+from small_envs import SMALL
 
 import jaxcam.envs
-
-SMALL = {"resolution": 16, "render_size": "20x24", "horizon": 6, "engine": "native"}
 
 
 @pytest.fixture
