@@ -1,6 +1,6 @@
 """The six tasks as Gymnasium environments, single and batched; importing this registers them.
 
-`gymnasium.make("jaxcam/Lift-v0")` is one environment, and `gymnasium.make_vec("jaxcam/Lift-v0", 50)`
+`gymnasium.make("jaxcam/Lift-v0")` is one environment; `gymnasium.make_vec("jaxcam/Lift-v0", 50)` is
 fifty worlds that one engine steps and one painter draws. Both are the same code.
 """
 
@@ -9,7 +9,7 @@ from jaxcam.errors import ConfigError
 
 try:
     import gymnasium
-    from gymnasium.vector import AutoresetMode as _since_gymnasium_1_1  # noqa: F401
+    from gymnasium.vector import AutoresetMode  # noqa: F401  (since 1.1)
 except ImportError as error:
     raise ConfigError(
         "The environments need gymnasium 1.1 or newer: pip install 'jaxcam[gym]'."

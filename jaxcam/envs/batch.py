@@ -18,7 +18,7 @@ from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.sim import engine_name, make_engine, make_painter, make_task
 from jaxcam.sim.actions import are_numbers, controller_of, decode, measured, space_of
 from jaxcam.sim.engine import Progress, begin, control_step
-from jaxcam.sim.observing import Cameras, Sensed, cameras_of, observe
+from jaxcam.sim.observing import Cameras, Instant, cameras_of, observe
 from jaxcam.sim.painter import Painter
 from jaxcam.sim.types import Command, Start, State, View
 from jaxcam.sim.world import World
@@ -207,7 +207,7 @@ class Batch:
         if not rows.any():
             return
         now, state = self.now, self.now.progress.state
-        sensed = Sensed(*(np.asarray(x, float) for x in (state.qpos, state.grip_position)))
+        sensed = Instant(*(np.asarray(x, float) for x in (state.qpos, state.grip_position)))
         shown = observe(self.painter, sensed, now.start, now.cameras, rows)
         shown["state"] = shown.pop("proprio")
         for name, new in shown.items():

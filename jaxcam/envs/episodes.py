@@ -3,7 +3,7 @@
 import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple, Self, get_args
 
 import numpy as np
 
@@ -85,9 +85,10 @@ class ResetOptions:
             if name not in known:
                 raise ConfigError(f"reset: unknown option {name!r:.80}{closest(str(name), known)}.")
         again = _mask(given.get("reset_mask"), count)
-        split = given.get("split", "test")
-        if not isinstance(split, str) or split not in SPLITS:
-            raise ConfigError(f"reset: unknown split {split!r:.80}{closest(str(split), SPLITS)}.")
+        name = given.get("split", "test")
+        split = next((known for known in get_args(Split) if name == known), None)
+        if split is None:
+            raise ConfigError(f"reset: unknown split {name!r:.80}{closest(str(name), SPLITS)}.")
         if given.get("pair") is None:
             if "split" in given:
                 raise ConfigError(
@@ -113,7 +114,7 @@ def _mask(mask: Any, count: int) -> np.ndarray:
 def _numbers(pair: Any, count: int) -> list[int]:
     """The numbers of pairs that `count` environments begin."""
     several = isinstance(pair, list | tuple | np.ndarray) and np.ndim(pair) == 1
-    numbers = [whole("pair", one) for one in (pair if several else [pair])]
+    numbers = [whole_number("pair", one) for one in (pair if several else [pair])]
     if not several:
         numbers = [numbers[0] + i for i in range(count)]
     if len(numbers) != count:
@@ -127,7 +128,7 @@ def _numbers(pair: Any, count: int) -> list[int]:
     return numbers
 
 
-def whole(name: str, value: Any) -> int:
+def whole_number(name: str, value: Any) -> int:
     """A whole number that `reset` was given.
 
     Args:
@@ -145,7 +146,7 @@ def whole(name: str, value: Any) -> int:
     raise ConfigError(f"reset: {name} must be a whole number or a list of them, got {value!r:.80}.")
 
 
-def held_out(task: Task, world: World, views: int, split: Split, numbers: list[int]) -> Begun:
+def of_pairs(task: Task, world: World, views: int, split: Split, numbers: list[int]) -> Begun:
     """The episodes of held-out pairs.
 
     Args:

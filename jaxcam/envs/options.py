@@ -60,7 +60,7 @@ class EnvOptions:
             rows_and_columns(getattr(self, name), name)
         if self.reward == "shaped" and make_task(self.task).simulator != "mujoco":
             raise ConfigError(
-                f"reward must be sparse for {self.task}: the shaped reward is robosuite's, and this "
+                f"reward must be sparse for {self.task}: shaped is robosuite's reward, and this "
                 "task is ManiSkill's. Lift, PickPlaceCan and Square have it."
             )
 

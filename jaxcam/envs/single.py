@@ -58,7 +58,7 @@ class TaskEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         """Executes an action, or a chunk of them; see `TaskVectorEnv.step`.
 
         Args:
-            action: [A] or, with the option `chunk`, [chunk, A].
+            action: Array [A] or, with the option `chunk`, [chunk, A].
 
         Raises:
             ConfigError: The action has another shape, or nothing was reset yet.

@@ -10,7 +10,7 @@ from gymnasium.vector.utils import batch_space
 
 from jaxcam.envs import spaces
 from jaxcam.envs.batch import Batch
-from jaxcam.envs.episodes import FRESH, Begun, ResetOptions, fresh, held_out, whole
+from jaxcam.envs.episodes import FRESH, Begun, ResetOptions, fresh, of_pairs, whole_number
 from jaxcam.envs.options import EnvOptions
 from jaxcam.errors import ConfigError, closest
 from jaxcam.sim.controllers import CONTROL_HZ
@@ -99,7 +99,7 @@ class TaskVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
         if asked.pairs is None:
             self._begin_fresh(again)
         else:
-            begun = held_out(batch.task, batch.world, batch.views, asked.split, asked.pairs)
+            begun = of_pairs(batch.task, batch.world, batch.views, asked.split, asked.pairs)
             self._begin(again, begun)
         return batch.observations(), self._infos(again)
 
@@ -109,7 +109,7 @@ class TaskVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
         """Executes an action, or a chunk of them, in each environment.
 
         Args:
-            actions: [num_envs, A] or, with the option `chunk`, [num_envs, chunk, A].
+            actions: Array [num_envs, A] or, with the option `chunk`, [num_envs, chunk, A].
 
         Returns:
             Observations; rewards; whether episodes ended by success, or in failure since an action
@@ -193,7 +193,9 @@ class TaskVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
         mask[rows] = True
         infos: dict[str, Any] = {}
         for name, values in known.items():
-            blank = np.full(self.num_envs, None) if values.dtype == object else np.zeros_like(values)
+            blank = (
+                np.full(self.num_envs, None) if values.dtype == object else np.zeros_like(values)
+            )
             blank[rows] = values[rows]
             infos |= {name: blank, f"_{name}": mask.copy()}
         return infos
@@ -235,12 +237,12 @@ def as_actions(actions: Any, shape: tuple[int, ...] | None) -> np.ndarray:
 
 def _seeds(seed: Any, count: int) -> list[int | None]:
     """A seed for each of the environments, or none."""
-    if seed is None:
-        return [None] * count
-    several = isinstance(seed, list | tuple | np.ndarray) and np.ndim(seed) == 1
-    seeds = [None if one is None else whole("seed", one) for one in (seed if several else [seed])]
-    if not several:
-        seeds = [(seeds[0] or 0) + i for i in range(count)]
+    seeds: list[int | None] = [None] * count
+    if isinstance(seed, list | tuple | np.ndarray) and np.ndim(seed) == 1:
+        seeds = [None if one is None else whole_number("seed", one) for one in seed]
+    elif seed is not None:
+        first = whole_number("seed", seed)
+        seeds = [first + i for i in range(count)]
     if len(seeds) != count:
         raise ConfigError(f"reset: {len(seeds)} seeds, and there are {count} environments.")
     for one in seeds:

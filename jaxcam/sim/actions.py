@@ -78,7 +78,7 @@ def action_names(space: str) -> tuple[str, ...]:
 
 
 def are_numbers(actions: Array) -> Array:
-    """Which chunks [B, T, A] can be executed: bool [B], False for what is no number or too large."""
+    """Which chunks [B, T, A] can be executed: bool [B]; not with NaN, or what is too large."""
     return (abs(actions) < BEYOND).all((1, 2))
 
 

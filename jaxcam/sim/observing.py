@@ -1,4 +1,4 @@
-"""What a policy is shown of a batch of worlds: pictures, their cameras, and what the robot feels."""
+"""What a policy is shown of worlds: pictures, their cameras, and what the robot feels."""
 
 from typing import Any, NamedTuple
 
@@ -22,7 +22,7 @@ class Cameras(NamedTuple):
     """The same in the robot's base frame, float32 [B, V, 4, 4]."""
 
 
-class Sensed(NamedTuple):
+class Instant(NamedTuple):
     """What an observation is made of."""
 
     qpos: Array
@@ -43,7 +43,7 @@ def cameras_of(world: World, K: np.ndarray, world_from_camera: np.ndarray) -> Ca
 
 
 def observe(
-    painter: Painter, sensed: Sensed, start: Start, cameras: Cameras, active: Array
+    painter: Painter, sensed: Instant, start: Start, cameras: Cameras, active: Array
 ) -> dict[str, Array]:
     """An observation of each world, in the namespace of what is sensed.
 

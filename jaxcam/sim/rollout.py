@@ -23,7 +23,7 @@ from jaxcam.sim.actions import (
 )
 from jaxcam.sim.engine import Engine, Play, Progress
 from jaxcam.sim.ensemble import ensemble
-from jaxcam.sim.observing import Cameras, Sensed, cameras_of, observe
+from jaxcam.sim.observing import Cameras, Instant, cameras_of, observe
 from jaxcam.sim.painter import Painter
 from jaxcam.sim.task import Task
 from jaxcam.sim.types import Command, Start, State
@@ -134,7 +134,7 @@ class _Carried(NamedTuple):
 
     anchor: Array
     """The last target, which deltas add to."""
-    before: tuple[Sensed, ...]
+    before: tuple[Instant, ...]
     """The steps before, if the policy sees several."""
     mean: Array
     """What was predicted for the steps to come [B, T, N], if that is averaged."""
@@ -156,7 +156,7 @@ class _PolicyTurn:
         self._ensembling = ensembling
 
     def first(self, state: State) -> _Carried:
-        before = (Sensed(state.qpos, state.grip_position),) * self._past
+        before = (Instant(state.qpos, state.grip_position),) * self._past
         anchor = measured(self._space, state, self._world.arm)
         averaged_steps = (self._execute or 0) if self._ensembling else 0
         still = anchor[:, None].repeat(averaged_steps, 1)
@@ -172,7 +172,7 @@ class _PolicyTurn:
         inputs: _Inputs,
     ) -> tuple[Progress, _Carried, Array]:
         xp, active = array_namespace(carried.anchor), progress.active
-        observed = [*carried.before, Sensed(progress.state.qpos, progress.state.grip_position)]
+        observed = [*carried.before, Instant(progress.state.qpos, progress.state.grip_position)]
         steps = [observe(self._painter, one, start, inputs.cameras, active) for one in observed]
         obs = {name: xp.stack([step[name] for step in steps], 1) for name in steps[0]}
         obs = obs if self._past else steps[0]
@@ -195,7 +195,7 @@ class _PolicyTurn:
             way.append(part)
             begin = end
             if end < length:
-                observed.append(Sensed(progress.state.qpos, progress.state.grip_position))
+                observed.append(Instant(progress.state.qpos, progress.state.grip_position))
         before = tuple(observed[len(observed) - self._past :])
         return progress, _Carried(targets[:, -1], before, mean), xp.concatenate(way)
 

@@ -110,7 +110,8 @@ def test_an_expert_succeeds_in_both_at_the_same_step(make_vec, make, roll, lift)
     assert (info["success"], info["pair"], info["steps"]) == (True, pair, done.steps[0])
     envs = make_vec(num_envs=2, chunk=40, horizon=horizon, autoreset_mode="Disabled")
     chunks = np.stack([moves[:80].reshape(2, 40, 7), np.zeros((2, 40, 7))])
-    way, infos = steps_of(envs, lambda _, i=iter([0, 1, 1]): chunks[:, next(i)], {"pair": pair})
+    turns = iter([0, 1, 1])
+    way, infos = steps_of(envs, lambda _: chunks[:, next(turns)], {"pair": pair})
     assert infos["success"].tolist() == [True, False]
     assert infos["steps"].tolist() == [done.steps[0], horizon]
     np.testing.assert_allclose(way[-1][0], done.qpos[-1, 0], atol=1e-6)

@@ -5,7 +5,7 @@ import pytest
 
 from jaxcam.data.pairs import make_pairs
 from jaxcam.data.splits import FRESH_CAMERAS, SPLITS, TRAIN_CAMERAS, VALIDATION_CAMERAS
-from jaxcam.envs.episodes import MOST_PAIRS, ResetOptions, fresh, held_out
+from jaxcam.envs.episodes import MOST_PAIRS, ResetOptions, fresh, of_pairs
 from jaxcam.errors import ConfigError
 
 
@@ -14,7 +14,7 @@ def rngs(seed, count):
 
 
 def test_pairs_are_those_of_an_evaluation(lift, scene):
-    ours = held_out(lift, scene, 2, "test", [3, 1])
+    ours = of_pairs(lift, scene, 2, "test", [3, 1])
     theirs = make_pairs(lift, scene, 2, "test", [3, 1])
     assert ours.seed.tolist() == theirs.seeds
     np.testing.assert_array_equal(ours.cameras, theirs.cameras)

@@ -17,9 +17,7 @@ from jaxcam.errors import ConfigError
 def test_gymnasiums_checker_passes_without_a_warning(make, options):
     env = make(render_mode="rgb_array", **options)
     check_env(env.unwrapped)
-    assert env.observation_space["image"].shape == (
-        (2, 16, 20, 3) if options else (1, 16, 16, 3)
-    )
+    assert env.observation_space["image"].shape == ((2, 16, 20, 3) if options else (1, 16, 16, 3))
 
 
 @pytest.mark.parametrize("space", ["eef_abs", "joint_abs"])
@@ -62,7 +60,7 @@ def test_pictures_for_people(make):
 
 
 def test_what_is_for_several_is_refused(make):
-    with pytest.raises(ConfigError, match="num_envs: use gymnasium.make_vec"):
+    with pytest.raises(ConfigError, match=r"num_envs: use gymnasium\.make_vec"):
         make(num_envs=3)
     env = make().unwrapped
     with pytest.raises(ConfigError, match="reset_mask is for several"):
