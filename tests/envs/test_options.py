@@ -1,7 +1,12 @@
 """Options of environments: what they mean, and what is refused in words."""
 
-import pytest
+import re
 
+import pytest
+from places import REPO
+
+from jaxcam.config.names import TaskName, names_of
+from jaxcam.envs import env_id
 from jaxcam.envs.options import EnvOptions
 from jaxcam.errors import ConfigError
 from jaxcam.sim import make_task
@@ -12,6 +17,15 @@ def test_what_is_left_out_is_the_tasks(task):
     options, known = EnvOptions.of({"task": task}), make_task(task)
     assert (options.views, options.horizon) == (known.views, known.horizon)
     assert EnvOptions.of({"task": task, "views": 3}).views == 3
+
+
+def test_the_documentation_says_what_they_are():
+    page = (REPO / "docs/gymnasium.md").read_text(encoding="utf-8")
+    rows = re.findall(r"\| `(jaxcam/\S+)` \|[^|]+\| (\d+) \| (\d+) \| (yes)? ?\|", page)
+    tasks = {env_id(name): make_task(name) for name in names_of(TaskName)}
+    assert {
+        (id, int(views), int(horizon), bool(shaped)) for id, views, horizon, shaped in rows
+    } == {(id, task.views, task.horizon, task.simulator == "mujoco") for id, task in tasks.items()}
 
 
 @pytest.mark.parametrize(
@@ -32,7 +46,7 @@ def test_what_is_left_out_is_the_tasks(task):
         ({"rotations": "world"}, "rotations is for action_space eef_abs"),
         ({"engine": "mjx"}, "Unknown engine 'mjx'"),
         ({"reward": "dense"}, "Unknown reward 'dense'"),
-        ({"task": "push", "reward": "shaped"}, "robosuite's, and this task is ManiSkill's"),
+        ({"task": "push", "reward": "shaped"}, "robosuite's reward, and this task is ManiSkill's"),
         ({"rewards": "shaped"}, "Unknown option 'rewards', did you mean 'reward'"),
     ],
 )

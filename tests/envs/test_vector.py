@@ -131,13 +131,15 @@ def test_pairs_are_given_to_some_or_all(make_vec):
 def test_gymnasiums_wrappers_take_them(make_vec):
     """Those that learners put around: actions from -1 to 1, returns, infos one by one."""
     envs = make_vec(horizon=2)
-    wrapped = DictInfoToList(RecordEpisodeStatistics(RescaleAction(envs, -1, 1)))
+    wrapped = RecordEpisodeStatistics(RescaleAction(envs, -1, 1))
     assert wrapped.action_space.high.max() == 1
     wrapped.reset(seed=1)
     for _ in range(2):
         *_, truncated, infos = wrapped.step(np.ones((3, 7), np.float32))
     assert truncated.all()
-    assert [info["episode"]["l"] for info in infos] == [2, 2, 2]
+    assert infos["episode"]["l"].tolist() == [2, 2, 2]
+    _, infos = DictInfoToList(envs).reset(options={"pair": 1})
+    assert [info["pair"] for info in infos] == [1, 2, 3]
 
 
 def test_it_draws_for_people_what_it_is_asked_to(make_vec):
