@@ -39,7 +39,7 @@ def evaluation(
     K = intrinsics(evaluator.task.fovy_deg, args.resolution)
     views = (*pairs.cameras.shape[:2], 3, 3)
     episodes = Episodes(pairs.start, np.broadcast_to(K, views), pairs.cameras)
-    agent = Agent(lambda obs, call: actions, "eef_delta")
+    agent = Agent(lambda *_: actions, "eef_delta")
 
     def run() -> np.ndarray:
         done = rollout(agent, evaluator.task, evaluator.engine, evaluator.renderer, episodes)

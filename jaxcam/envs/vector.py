@@ -136,9 +136,9 @@ class TaskVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
         observations = batch.observations()
         if self._mode is AutoresetMode.SAME_STEP and self._over.any():
             rows = np.flatnonzero(self._over)
-            infos = {**self._final(observations, infos, rows)}
+            last = self._final(observations, rows)
             self._begin_fresh(rows)
-            infos |= self._infos(everyone)
+            infos = last | self._infos(everyone)
             observations = batch.observations()
         return observations, rewards, terminated, truncated, infos
 
@@ -200,9 +200,7 @@ class TaskVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
             infos |= {name: blank, f"_{name}": mask.copy()}
         return infos
 
-    def _final(
-        self, observations: dict[str, np.ndarray], infos: dict[str, Any], rows: np.ndarray
-    ) -> dict[str, Any]:
+    def _final(self, observations: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, Any]:
         """The last observations and infos of episodes that are over."""
         last = np.full(self.num_envs, None, object)
         for i in rows:

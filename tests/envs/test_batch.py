@@ -65,7 +65,7 @@ def steps_of(envs, act, options):
 @pytest.mark.parametrize("space", ["eef_delta", "joint_abs"])
 def test_chunks_lead_to_the_states_of_a_rollout_to_the_last_bit(make_vec, roll, space):
     size = 8 if space == "joint_abs" else 7
-    done = roll(lambda obs, call: untrained(obs, size), [2, 3], space)
+    done = roll(lambda obs, call, *_: untrained(obs, size), [2, 3], space)
     envs = make_vec(
         num_envs=2, chunk=CHUNK, action_space=space, horizon=HORIZON, autoreset_mode="Disabled"
     )
@@ -77,7 +77,7 @@ def test_chunks_lead_to_the_states_of_a_rollout_to_the_last_bit(make_vec, roll, 
 @pytest.mark.parametrize("execute", [1, 2])
 def test_so_do_single_actions(make_vec, roll, execute):
     """Exactly, where a rollout executes one; else deltas are summed in another order."""
-    done = roll(lambda obs, call: untrained(obs, 7), [4, 5], execute=execute, views=2)
+    done = roll(lambda obs, call, *_: untrained(obs, 7), [4, 5], execute=execute, views=2)
     envs = make_vec(num_envs=2, views=2, horizon=HORIZON, autoreset_mode="Disabled")
     left = []
 
@@ -97,7 +97,9 @@ def test_an_expert_succeeds_in_both_at_the_same_step(make_vec, make, roll, lift)
     demo = run_expert(lift, scene, engine, [1_000_000 + pair])[0]
     moves = demo_actions(demo, "eef_delta", scene)
     moves = np.concatenate([moves, np.tile(moves[-1:] * [0, 0, 0, 0, 0, 0, 1], (40, 1))])
-    done = roll(lambda obs, call: moves[None, call : call + 1], [pair], execute=1, horizon=horizon)
+    done = roll(
+        lambda obs, call, *_: moves[None, call : call + 1], [pair], execute=1, horizon=horizon
+    )
     assert done.success.all()
     env = make(horizon=horizon)
     env.reset(options={"pair": pair})
