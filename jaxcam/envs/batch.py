@@ -27,7 +27,7 @@ MOST_AT_ONCE = 32
 """Pictures that are drawn at once."""
 
 
-class Outcome(NamedTuple):
+class Endings(NamedTuple):
     """How the episodes of a batch stand [B]."""
 
     success: np.ndarray
@@ -160,13 +160,13 @@ class Batch:
         self._look(active & acts & np.asarray(progress.state.ok))
         return rewards
 
-    def outcome(self) -> Outcome:
+    def outcome(self) -> Endings:
         """How the episodes stand."""
         progress = self.now.progress
         success, taken = np.asarray(progress.success), np.asarray(progress.taken)
         failed, broken = ~np.asarray(progress.alive), ~np.asarray(progress.state.ok)
         late = (taken >= self.horizon) & ~(success | failed | broken)
-        return Outcome(success, failed, broken, late, taken)
+        return Endings(success, failed, broken, late, taken)
 
     def observations(self) -> dict[str, np.ndarray]:
         """What was seen last of each episode, in arrays of their own."""
