@@ -20,6 +20,7 @@ FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 ELSEWHERE = {
     # Nothing but tables, records and promises.
     "config/presets": "config/test_names",
+    "sim/observing": "sim/test_rollout",
     "sim/painter": "sim/test_simulators",
     "sim/types": "sim/test_engine",
     "sim/mujoco/table": "sim/test_tasks",

@@ -27,6 +27,7 @@ from jaxcam.sim.maniskill.task import ManiSkillTask
 EXTRAS = {
     "lerobot": ("pyarrow",),
     "smolvla": ("safetensors", "tokenizers"),
+    "gym": ("gymnasium",),
     "sweep": ("submitit",),
     "tensorboard": ("tensorboardX",),
     "wandb": ("wandb",),

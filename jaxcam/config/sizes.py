@@ -8,11 +8,12 @@ LEAST, MOST = 16, 4096
 """Pixels of a side."""
 
 
-def rows_and_columns(resolution: int | str) -> tuple[int, int]:
+def rows_and_columns(resolution: int | str, name: str = "resolution") -> tuple[int, int]:
     """Rows and columns of a picture.
 
     Args:
         resolution: A side of a square, such as 84, or rows and columns, such as "96x128".
+        name: What it is the size of, for messages.
 
     Raises:
         ConfigError: It is neither, or a side is too small or too large.
@@ -20,15 +21,15 @@ def rows_and_columns(resolution: int | str) -> tuple[int, int]:
     match = re.fullmatch(r"([0-9]{1,9})(?:x([0-9]{1,9}))?", str(resolution))
     if not match:
         raise ConfigError(
-            f"resolution must be a side, such as 84, or rows and columns, such as 96x128; got "
+            f"{name} must be a side, such as 84, or rows and columns, such as 96x128; got "
             f"{str(resolution)[:80]!r}."
         )
     height, width = (int(side) for side in (match[1], match[2] or match[1]))
     for side in (height, width):
         if side < LEAST:
-            raise ConfigError(f"resolution must be at least {LEAST}, got {resolution}.")
+            raise ConfigError(f"{name} must be at least {LEAST}, got {resolution}.")
         if side > MOST:
-            raise ConfigError(f"resolution must be at most {MOST}, got {resolution}.")
+            raise ConfigError(f"{name} must be at most {MOST}, got {resolution}.")
     return height, width
 
 

@@ -32,6 +32,9 @@ TRAIN_CAMERAS = 1
 VALIDATION_CAMERAS = 3
 """Seed of the cameras of validation demonstrations."""
 
+FRESH_CAMERAS = range(1_000, 2**31)
+"""Seeds of cameras that are drawn anew for an episode: those of no set."""
+
 
 def episode_seeds(seed: int) -> range:
     """The episode seeds that the dataset of a seed may use."""

@@ -15,7 +15,7 @@ from jaxcam.console.words import plain_line
 from jaxcam.errors import PortError
 from jaxcam.evaluation.mapping import Names, observation_of, sent
 from jaxcam.evaluation.sources import FailedError, PolicyFunction, PolicySource, Talk, answered
-from jaxcam.sim.rollout import BEYOND
+from jaxcam.sim.actions import BEYOND
 
 _LONGEST = 300
 """Letters of a cause that are kept."""

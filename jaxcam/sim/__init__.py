@@ -93,7 +93,12 @@ def make_engine(
 
 
 def make_painter(
-    world: World, height: int, width: int | None = None, *, varied: Sequence[str] = ()
+    world: World,
+    height: int,
+    width: int | None = None,
+    *,
+    varied: Sequence[str] = (),
+    batch: int = 32,
 ) -> Painter:
     """What draws a world.
 
@@ -102,8 +107,11 @@ def make_painter(
         height: Of the pictures (pixels).
         width: Of the pictures (pixels); `height` when None.
         varied: The task's varied geoms.
+        batch: Views that it is to draw at once: more only take longer, but some painters draw as
+            many when there are fewer. The pictures are the same.
     """
-    return simulator_of(world).painter(world, height, width, varied=tuple(varied))
+    painter = simulator_of(world).painter
+    return painter(world, height, width, varied=tuple(varied), batch=batch)
 
 
 def painter_of(world: World) -> type[Painter]:

@@ -28,6 +28,9 @@ from jaxcam.rays.rotations import (
 from jaxcam.sim.types import ControllerName, State
 from jaxcam.sim.world import JOINTS
 
+BEYOND = 1e6
+"""No action is as large, in metres, radians or otherwise: simulators fail on such numbers, and
+that is the policy's failure."""
 ACTION_SPACES = ("eef_delta", "eef_abs", "joint_delta", "joint_abs")
 """The paper's four; the authors' component-wise differencing is a fifth, to reproduce them."""
 POSE = ("x", "y", "z", "rx", "ry", "rz")
@@ -72,6 +75,11 @@ def action_dim(space: str) -> int:
 def action_names(space: str) -> tuple[str, ...]:
     """Names of the numbers of an action, the gripper's last."""
     return (*(JOINTS if is_joint(space) else POSE), "gripper")
+
+
+def are_numbers(actions: Array) -> Array:
+    """Which chunks [B, T, A] can be executed: bool [B]; not with NaN, or what is too large."""
+    return (abs(actions) < BEYOND).all((1, 2))
 
 
 def measured(space: str, state: State, arm: np.ndarray) -> Array:

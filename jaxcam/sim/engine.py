@@ -24,7 +24,7 @@ class Progress(NamedTuple):
     steps: Array
     """[B] control steps to success; the horizon without."""
     taken: Array
-    """Control steps so far, of all episodes."""
+    """Control steps so far, of all episodes; or of each [B], where they began one by one."""
     horizon: Array
     """Control steps after which an episode is out of time."""
 
@@ -129,6 +129,21 @@ class Engine(Protocol):
     def reset(self, start: Start) -> State:
         """Puts a batch of worlds at their starts, at rest, gripper half open."""
         ...
+
+    def restart(self, state: State, start: Start, again: np.ndarray) -> State:
+        """Puts some worlds of a batch at a start, as `reset` would; the others stay as they are.
+
+        Args:
+            state: Of the batch.
+            start: Of all its episodes: those that go on and those that begin.
+            again: [B] bool, worlds whose episodes begin.
+        """
+        fresh = self.reset(start)
+        xp = array_namespace(state.qpos)
+        return State(*(
+            xp.where(again.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+            for old, new in zip(state, fresh, strict=True)
+        ))  # fmt: skip
 
     def step(self, state: State, command: Command, active: Array | None = None) -> State:
         """Advances the worlds one control step; those not `active` [B] stay as they are."""

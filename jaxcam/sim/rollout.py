@@ -8,23 +8,26 @@ that are done or have failed stay as they are.
 import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from jaxcam.rays import invert
 from jaxcam.rays.rotations import Array, array_namespace
-from jaxcam.sim.actions import action_dim, averageable, averaged, decode, measured
+from jaxcam.sim.actions import (
+    action_dim,
+    are_numbers,
+    averageable,
+    averaged,
+    decode,
+    measured,
+)
 from jaxcam.sim.engine import Engine, Play, Progress
 from jaxcam.sim.ensemble import ensemble
+from jaxcam.sim.observing import Cameras, Instant, cameras_of, observe
 from jaxcam.sim.painter import Painter
 from jaxcam.sim.task import Task
-from jaxcam.sim.types import Command, Start, State, View
+from jaxcam.sim.types import Command, Start, State
 from jaxcam.sim.world import World
-
-BEYOND = 1e6
-"""No action is as large, in metres, radians or otherwise: simulators fail on such numbers, and
-that is the policy's failure."""
 
 PolicyCall = Callable[[dict[str, np.ndarray], int, np.ndarray], np.ndarray]
 """`act(obs, call, active)`: observations of all episodes, number of the call, and which episodes go
@@ -102,13 +105,7 @@ def rollout(
     """
     world: World = engine.scene
     turn = _turn(painter, agent.space, agent.execute, agent.obs_steps, agent.ensembling)
-    world_from_camera = np.asarray(episodes.world_from_camera)
-    inputs = _Inputs(
-        act=agent.act,
-        K=np.asarray(episodes.K),
-        world_from_camera=world_from_camera,
-        base_from_camera=(invert(world.world_from_base) @ world_from_camera).astype(np.float32),
-    )
+    inputs = _Inputs(agent.act, cameras_of(world, episodes.K, episodes.world_from_camera))
     progress, trace = engine.run(
         turn,
         inputs,
@@ -129,16 +126,7 @@ def rollout(
 
 class _Inputs(NamedTuple):
     act: PolicyCall
-    K: Array
-    world_from_camera: Array
-    base_from_camera: Array
-
-
-class _Sensed(NamedTuple):
-    """What an observation is made of."""
-
-    qpos: Array
-    grip_position: Array
+    cameras: Cameras
 
 
 class _Carried(NamedTuple):
@@ -146,7 +134,7 @@ class _Carried(NamedTuple):
 
     anchor: Array
     """The last target, which deltas add to."""
-    before: tuple[_Sensed, ...]
+    before: tuple[Instant, ...]
     """The steps before, if the policy sees several."""
     mean: Array
     """What was predicted for the steps to come [B, T, N], if that is averaged."""
@@ -168,7 +156,7 @@ class _PolicyTurn:
         self._ensembling = ensembling
 
     def first(self, state: State) -> _Carried:
-        before = (_Sensed(state.qpos, state.grip_position),) * self._past
+        before = (Instant(state.qpos, state.grip_position),) * self._past
         anchor = measured(self._space, state, self._world.arm)
         averaged_steps = (self._execute or 0) if self._ensembling else 0
         still = anchor[:, None].repeat(averaged_steps, 1)
@@ -184,12 +172,12 @@ class _PolicyTurn:
         inputs: _Inputs,
     ) -> tuple[Progress, _Carried, Array]:
         xp, active = array_namespace(carried.anchor), progress.active
-        observed = [*carried.before, _Sensed(progress.state.qpos, progress.state.grip_position)]
-        steps = [self._observe(one, start, inputs, active) for one in observed]
+        observed = [*carried.before, Instant(progress.state.qpos, progress.state.grip_position)]
+        steps = [observe(self._painter, one, start, inputs.cameras, active) for one in observed]
         obs = {name: xp.stack([step[name] for step in steps], 1) for name in steps[0]}
         obs = obs if self._past else steps[0]
         chunk = self._chunk(xp.asarray(inputs.act(obs, call, active)), len(active))
-        acts = (xp.abs(chunk) < BEYOND).all((1, 2))  # False for what is no number, too
+        acts = are_numbers(chunk)
         # A world that is done sees black: its chunk is not used.
         progress = progress._replace(alive=progress.alive & (acts | ~active))
         chunk = xp.where(acts[:, None, None], chunk, 0)
@@ -207,7 +195,7 @@ class _PolicyTurn:
             way.append(part)
             begin = end
             if end < length:
-                observed.append(_Sensed(progress.state.qpos, progress.state.grip_position))
+                observed.append(Instant(progress.state.qpos, progress.state.grip_position))
         before = tuple(observed[len(observed) - self._past :])
         return progress, _Carried(targets[:, -1], before, mean), xp.concatenate(way)
 
@@ -218,38 +206,6 @@ class _PolicyTurn:
         if chunk.ndim == 3 and chunk.shape[::2] == (count, size) and chunk.shape[1] >= least:
             return chunk[:, : self._execute]
         return array_namespace(chunk).full((count, steps, size), np.nan)
-
-    def _observe(
-        self, sensed: _Sensed, start: Start, inputs: _Inputs, active: Array
-    ) -> dict[str, Array]:
-        return {
-            "image": self._look(sensed.qpos, start, inputs, active),
-            "K": inputs.K.astype(np.float32),
-            "base_from_camera": inputs.base_from_camera,
-            "proprio": self._world.proprio(sensed.qpos, sensed.grip_position),
-        }
-
-    def _look(self, qpos: Array, start: Start, inputs: _Inputs, active: Array) -> Array:
-        """Pictures [B, V, H, W, 3] of the active episodes; the others' are black and never used."""
-        draw, xp = self._painter, array_namespace(qpos)
-        count, views = inputs.K.shape[:2]
-        shape = (count, views, draw.height, draw.width, 3)
-        on_host = xp is np
-        rows = np.flatnonzero(active) if on_host else np.arange(count)
-        view = View(
-            qpos=qpos[rows].repeat(views, 0),
-            geom_size=start.geom_size[rows].repeat(views, 0),
-            fixtures=start.fixtures[rows].repeat(views, 0),
-            K=inputs.K[rows].reshape(-1, 3, 3),
-            world_from_camera=inputs.world_from_camera[rows].reshape(-1, 4, 4),
-        )
-        if not on_host:
-            compiled: Any = draw  # the painters of worlds that compiled engines step are, too
-            traced = compiled.traced(view).reshape(shape)
-            return xp.where(active[:, None, None, None, None], traced, 0)
-        pictures = np.zeros(shape, np.uint8)
-        pictures[rows] = draw.rgb(view).reshape(len(rows), *shape[1:])
-        return pictures
 
 
 # One turn for the same arguments: it is what a compiled program is known by.

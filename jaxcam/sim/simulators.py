@@ -46,7 +46,7 @@ class Simulator:
     has_accelerator: LazyPart
     """`() -> bool`: whether this machine has one that this simulator can use."""
     painter: LazyPart
-    """`(world, height, width, varied=...) -> Painter`."""
+    """`(world, height, width, varied=..., batch=...) -> Painter`."""
     packages: tuple[str, ...]
     """Distributions whose versions shape what happens in its worlds."""
 

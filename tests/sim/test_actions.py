@@ -18,6 +18,7 @@ from jaxcam.sim import make_task
 from jaxcam.sim.actions import (
     ACTION_SPACES,
     action_dim,
+    are_numbers,
     controller_of,
     decode,
     encode,
@@ -228,3 +229,10 @@ def test_collected_demonstrations_replay_in_every_space(space, lift, scene, rend
     done = rollout(agent, lift, engine, renderer, episodes)
     assert done.success.all()
     assert done.ok.all()
+
+
+def test_which_actions_can_be_executed():
+    chunks = np.zeros((4, 2, 7))
+    chunks[1, 0, 3], chunks[2, 1, 6], chunks[3, 0, 0] = np.nan, -np.inf, 1e7
+    assert are_numbers(chunks).tolist() == [True, False, False, False]
+    assert are_numbers(jnp.asarray(chunks)).tolist() == [True, False, False, False]

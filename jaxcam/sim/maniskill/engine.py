@@ -56,17 +56,31 @@ class SapienEngine(Engine):
         """Puts a batch of worlds at their starts, at rest, gripper open; see `Engine.reset`."""
         count = len(start.qpos)
         state = State(
-            qpos=np.array(start.qpos, float),
-            qvel=np.zeros((count, self.scene.nv)),
-            warmstart=np.zeros((count, 0)),
-            closed=-np.ones(count),
-            rest=np.array(start.qpos, float)[:, self.scene.arm],
+            qpos=np.empty((count, self.scene.nq)),
+            qvel=np.empty((count, self.scene.nv)),
+            warmstart=np.empty((count, 0)),
+            closed=np.empty(count),
+            rest=np.empty((count, len(self.scene.arm))),
             grip_position=np.empty((count, 3)),
             grip_rotation=np.empty((count, 3, 3)),
-            ok=np.ones(count, bool),
+            ok=np.empty(count, bool),
         )
-        self._ask("load", np.arange(count), state, None)
+        self._put_at(state, start, np.arange(count))
         return state
+
+    def restart(self, state: State, start: Start, again: np.ndarray) -> State:
+        """Puts some worlds at a start; see `Engine.restart`. The others' contacts are kept."""
+        rows = np.flatnonzero(again)
+        new = State(*(np.copy(x) for x in state))
+        self._put_at(new, start, rows)
+        return new
+
+    def _put_at(self, state: State, start: Start, rows: np.ndarray) -> None:
+        """Writes the start of some worlds into a state, and puts them there."""
+        state.qpos[rows] = start.qpos[rows]
+        state.qvel[rows], state.closed[rows], state.ok[rows] = 0, -1, True
+        state.rest[rows] = state.qpos[np.ix_(rows, self.scene.arm)]
+        self._ask("load", rows, state, None)
 
     def step(self, state: State, command: Command, active: np.ndarray | None = None) -> State:
         """Advances the worlds one control step; see `Engine.step`."""

@@ -38,6 +38,7 @@ class SapienPainter:
         height: Of the pictures (pixels).
         width: Of the pictures (pixels); `height` when None.
         varied: Geoms whose sizes differ between episodes: none do here.
+        batch: Views that are drawn at once elsewhere; here as many as there are.
         pool: Processes that draw it; those that the world's other engines and painters use, when
             None.
     """
@@ -49,6 +50,7 @@ class SapienPainter:
         width: int | None = None,
         *,
         varied: Sequence[str] = (),
+        batch: int = 0,
         pool: Pool | None = None,
     ) -> None:
         self.scene, self.height, self.width = scene, height, width or height

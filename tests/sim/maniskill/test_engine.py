@@ -57,6 +57,23 @@ def push_on(engine, world, start, steps=30):
     return state
 
 
+def test_worlds_begin_anew_without_a_trace_in_the_others(engine, world, start):
+    """Their contacts are kept, which would be lost if they were put where they are."""
+    again = np.arange(len(start.qpos)) == 1
+    states = []
+    for restarts in (False, True):
+        state = push_on(engine, world, start, steps=20)
+        if restarts:
+            state = engine.restart(state, start, again)
+            np.testing.assert_allclose(state.qpos[1], start.qpos[1], atol=1e-6)
+            assert (state.qvel[1] == 0).all()
+        for _ in range(5):
+            state = engine.step(state, hold(state))
+        states.append(state)
+    for calm, busy in zip(*states, strict=True):
+        np.testing.assert_array_equal(calm[~again], busy[~again])
+
+
 def test_episodes_repeat_to_the_last_bit(engine, push, world, start):
     first = push_on(engine, world, start)
     assert np.abs(first.qpos[:, 9:12] - start.qpos[:, 9:12]).max() > 1e-3  # cubes have moved

@@ -149,6 +149,16 @@ def test_inactive_worlds_stay_and_a_diverging_one_is_lost_alone(scene, start, wa
     assert engine.reset(start).ok.all()
 
 
+def test_worlds_begin_anew_without_a_trace_in_the_others(scene, start, warp):
+    engine, again = warp["osc_pose"], np.array([False, True, False])
+    fresh = engine.reset(start)
+    command = wave(scene, fresh, "osc_pose", 1)
+    later = engine.step(fresh, Command(command.target[:, 0], command.gripper[:, 0]))
+    for old, new, first in zip(later, engine.restart(later, start, again), fresh, strict=True):
+        np.testing.assert_array_equal(new[~again], old[~again])
+        np.testing.assert_array_equal(new[again], first[again])
+
+
 def test_success_and_horizon_freeze_inside_the_program(lift, scene, start, warp):
     native = NativeEngine(scene, varied=lift.varied)
     commands = wave(scene, native.reset(start), "osc_pose", 4)

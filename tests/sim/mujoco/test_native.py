@@ -84,6 +84,20 @@ def test_a_reset_forgets_everything(lift, scene, start):
         assert_same(a, b)
 
 
+def test_worlds_begin_anew_without_a_trace_in_the_others(lift, scene, start, batch):
+    """Not even where fingers touch the cube: a solver remembers contacts."""
+    engine, again, done = NativeEngine(scene, varied=lift.varied), np.arange(4) == 1, 9
+    states = run(engine, lift, scene, start)
+    targets, gripper = commands(lift, scene, states[0])
+    state = engine.restart(states[done], start, again)
+    for now, before, first in zip(state, batch[done], batch[0], strict=True):
+        np.testing.assert_array_equal(now[~again], before[~again])
+        np.testing.assert_array_equal(now[again], first[again])
+    after = engine.step(state, Command(targets[done], np.full(4, gripper[done])))
+    for now, then in zip(after, batch[done + 1], strict=True):
+        np.testing.assert_array_equal(now[~again], then[~again])
+
+
 def test_a_step_before_the_first_reset_is_refused(lift, scene, batch):
     engine = NativeEngine(scene, varied=lift.varied)
     with pytest.raises(RuntimeError, match="call reset first"):
