@@ -13,7 +13,7 @@ from rich.console import Console
 from jaxcam.config.commands import EvaluateConfig
 from jaxcam.config.foreign import ForeignConfig, ObsMap
 from jaxcam.config.sizes import rows_and_columns
-from jaxcam.errors import ConfigError
+from jaxcam.errors import ConfigError, NoServerError
 from jaxcam.evaluation.asking import Asking
 from jaxcam.evaluation.checkpoint import Wanted, evaluate
 from jaxcam.evaluation.evaluator import Evaluator
@@ -100,7 +100,13 @@ def evaluate_foreign(config: EvaluateConfig, console: Console | None) -> Path:
     evaluator = Evaluator(record, config.width, engine)
     candidate = ForeignPolicy(record, source, names, folder)
     wanted_pairs = Wanted(config.split, config.pairs, config.videos)
-    evaluate(evaluator, candidate, wanted_pairs, console)
+    try:
+        evaluate(evaluator, candidate, wanted_pairs, console)
+    except NoServerError as error:
+        raise NoServerError(
+            f"{error} Rollouts of the batches that were finished are kept, and the same command "
+            "goes on with the others."
+        ) from error
     _conclude(config, folder, console)
     return folder
 

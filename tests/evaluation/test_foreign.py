@@ -146,7 +146,7 @@ def test_the_same_command_goes_on_and_a_server_that_is_gone_ends_it(tmp_path, mo
     with policy_server(Torch(), {"run": "theirs"}) as address:
         connect = jaxcam.client.connect
         monkeypatch.setattr("jaxcam.client.connect", failing)
-        with pytest.raises(NoServerError):
+        with pytest.raises(NoServerError, match="the same command goes on"):
             evaluated(address, tmp_path / "theirs", **how)
         monkeypatch.setattr("jaxcam.client.connect", connect)
     first = read_run_rows(tmp_path / "theirs")
