@@ -18,6 +18,7 @@ NAMES = (
     "report",
     "sweep",
     "check",
+    "calibrate",
     "weights",
     "robomimic",
     "maniskill",

@@ -1,0 +1,1 @@
+"""A real robot: where its cameras are."""

@@ -1,0 +1,19 @@
+"""`python -m jaxcam.calibrate FORM …`: the forms by their settings."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from rich.console import Console
+
+from jaxcam.config.calibrate import CalibrateConfig, LensConfig
+from jaxcam.robot.calibration.lens_form import calibrate_lens
+
+FORMS: Mapping[type, Callable[[Any, Console], None]] = {
+    LensConfig: calibrate_lens,
+}
+"""What runs each form."""
+
+
+def main(config: CalibrateConfig, console: Console) -> None:
+    """Runs the command."""
+    FORMS[type(config.form)](config.form, console)
