@@ -92,8 +92,8 @@ def boards_shown(rng, camera, board, count=20, look=Look(), samples=2):  # noqa:
     rays = rays_of(K, h, w, coefficients, kind, samples)
     packed = np.asarray(pack(np.array(coefficients, float), kind))
     for i in range(count):
-        place = np.array([i % 3 - 1, i // 3 % 3 - 1]) * rng.uniform(0.5, 1, 2)
-        pixel = np.array([w / 2, h / 2]) + place * np.array([w, h]) * 0.3
+        place = np.array([i % 3 - 1, i // 3 % 3 - 1]) * rng.uniform(0.7, 1, 2)
+        pixel = np.array([w / 2, h / 2]) + place * np.array([w, h]) * 0.38
         sight = np.stack(sight_lines(*normalised(K, *pixel), packed, "opencv"))
         z = sight / np.linalg.norm(sight)
         far = rng.uniform(0.9, 1.6) * width * K[0, 0] / w

@@ -13,7 +13,7 @@ FAR = 5.0
 """Residuals beyond so many standard deviations are no corners."""
 SOFT = 1.0
 """At first, residuals count in full up to here (pixels)."""
-STEPS = 80
+STEPS = 40
 LEAST_FAR = 0.5
 """But not those that are off by less (pixels)."""
 

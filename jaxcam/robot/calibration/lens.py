@@ -90,6 +90,29 @@ def fit_lens(
     return _result(model, fitted)
 
 
+def residuals_at_best(points: np.ndarray, pixels: np.ndarray, fit: LensFit) -> np.ndarray:
+    """What a lens leaves of another picture's corners, at the board's best pose there.
+
+    Args:
+        points: Of the board, [n, 3] (m).
+        pixels: Where they were seen, [n, 2], ours.
+        fit: The lens.
+
+    Returns:
+        Pixels [n, 2]; very large where the board has no such pose.
+    """
+    K = fit.optics.K
+    own = np.array([K[0, 0], K[1, 1], K[0, 2] - HALF, K[1, 2] - HALF, *fit.coefficients])
+    start = _pose(points, pixels - HALF, own, fit.kind)
+    if start is None:
+        return np.full(pixels.shape, 1e3)
+    return fit_pixels(
+        lambda pose: project_board(points, pose, own, fit.kind)[0] - (pixels - HALF),
+        start,
+        jacobian=lambda pose: project_board(points, pose, own, fit.kind)[2],
+    ).residuals
+
+
 @dataclass(frozen=True)
 class _Model:
     """The unknowns: fx, fy, cx, cy, the coefficients, and six numbers of a pose a picture."""

@@ -7,9 +7,8 @@ import numpy as np
 
 from jaxcam.errors import DatasetError
 from jaxcam.robot.calibration.boards import Board, BoardSeen
-from jaxcam.robot.calibration.fitting import fit_pixels
-from jaxcam.robot.calibration.lens import LensFit, fit_lens
-from jaxcam.robot.calibration.projection import moved, pixels_of, placed
+from jaxcam.robot.calibration.lens import LensFit, fit_lens, residuals_at_best
+from jaxcam.robot.calibration.projection import pixels_of, placed
 
 LEAST = 4
 """Pictures that tell a lens."""
@@ -157,17 +156,8 @@ def _one_camera(
 
 def _off(board: Board, view: BoardSeen, fit: LensFit) -> float:
     """Residuals of a picture (pixels) for a lens, at the best pose of the board."""
-    points = board.points[view.ids]
-    residuals = []
-    for start in fit.boards[:4]:
-        fitted = fit_pixels(
-            lambda x, start=start: (
-                pixels_of(placed(moved(start, x), points), fit.optics) - view.pixels
-            ),
-            np.zeros(6),
-        )
-        residuals.append(float(np.sqrt((fitted.residuals**2).sum(-1).mean())))
-    return min(residuals)
+    off = residuals_at_best(board.points[view.ids], view.pixels, fit)
+    return float(np.sqrt((off**2).sum(-1).mean()))
 
 
 def _check_two(
