@@ -110,3 +110,17 @@ def boards_shown(rng, camera, board, count=20, look=Look(), samples=2):  # noqa:
         pose[:3, 3] = far * z - middle
         paper = Print(texture, width + 2 * edge, height + 2 * edge, pose)
         yield draw(rays, np.eye(4), [paper], rng, look, samples)
+
+
+def tag_print(family, number, size, pose):
+    """A tag with a white margin of two cells; `pose` is its own: x right, y up, z out."""
+    from jaxcam.robot.calibration.boards import dictionary_of
+
+    dictionary = dictionary_of(family)
+    cells = dictionary.markerSize + 2
+    ink = cv2.aruco.generateImageMarker(dictionary, number, 40 * cells)
+    texture = np.pad(ink, 80, constant_values=255)
+    side = size * (cells + 4) / cells
+    corner = np.eye(4)
+    corner[:3, :3], corner[:3, 3] = np.diag([1, -1, -1]), (-side / 2, side / 2, 0)
+    return Print(texture, side, side, pose @ corner)

@@ -5,11 +5,13 @@ from typing import Any
 
 from rich.console import Console
 
-from jaxcam.config.calibrate import CalibrateConfig, LensConfig
+from jaxcam.config.calibrate import CalibrateConfig, LensConfig, TagsConfig
 from jaxcam.robot.calibration.lens_form import calibrate_lens
+from jaxcam.robot.calibration.tags_form import calibrate_tags
 
 FORMS: Mapping[type, Callable[[Any, Console], None]] = {
     LensConfig: calibrate_lens,
+    TagsConfig: calibrate_tags,
 }
 """What runs each form."""
 

@@ -60,6 +60,7 @@ def fit_checked(
     if (per_picture(fit) < most).all():
         _check_flat(board, fit)
         return fit, []
+    _check_flat(board, fit)
     one = _one_camera(board, views, size, kind, coefficients)
     rest = [i for i in range(len(views)) if i not in one]
     names = ", ".join(views[i].name for i in rest[:8])
