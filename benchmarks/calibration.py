@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxcam.rays.lens import distort, normalised, pack, sight_lines
 from jaxcam.robot.calibration.boards import Board
-from jaxcam.robot.calibration.lens import LensFit, fit_lens, ray_pixels
+from jaxcam.robot.calibration.lens.fit import LensFit, fit_lens, ray_pixels
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
 from drawn import boards_shown  # noqa: E402

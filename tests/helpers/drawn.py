@@ -113,14 +113,14 @@ def boards_shown(rng, camera, board, count=20, look=Look(), samples=2):  # noqa:
 
 
 def tag_print(family, number, size, pose):
-    """A tag with a white margin of two cells; `pose` is its own: x right, y up, z out."""
+    """A tag with a white margin of a cell; `pose` is its own: x right, y up, z out."""
     from jaxcam.robot.calibration.boards import dictionary_of
 
     dictionary = dictionary_of(family)
     cells = dictionary.markerSize + 2
     ink = cv2.aruco.generateImageMarker(dictionary, number, 40 * cells)
-    texture = np.pad(ink, 80, constant_values=255)
-    side = size * (cells + 4) / cells
+    texture = np.pad(ink, 40, constant_values=255)
+    side = size * (cells + 2) / cells
     corner = np.eye(4)
     corner[:3, :3], corner[:3, 3] = np.diag([1, -1, -1]), (-side / 2, side / 2, 0)
     return Print(texture, side, side, pose @ corner)

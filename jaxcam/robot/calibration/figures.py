@@ -10,7 +10,7 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from jaxcam.interop.cameras.optics import Optics
 from jaxcam.reports.style import BLUE, GREY, INK, VERMILION, side_by_side, styled
-from jaxcam.robot.calibration.lens import LensFit, ray_pixels
+from jaxcam.robot.calibration.lens.fit import LensFit, ray_pixels
 from jaxcam.robot.calibration.projection import placed, straightened
 
 RED, GREEN = "#C23B22", "#3A8F4B"

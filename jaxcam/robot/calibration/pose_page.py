@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxcam.interop.cameras.optics import Optics
 from jaxcam.robot.calibration.page import overlay
-from jaxcam.robot.calibration.tags import PoseFit
+from jaxcam.robot.calibration.tags.fit import PoseFit
 
 GOOD = 0.005, np.deg2rad(0.5)
 """Two standard deviations of a pose (m, rad) up to which it is good."""

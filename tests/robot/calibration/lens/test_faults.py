@@ -5,8 +5,8 @@ import pytest
 from seen_boards import BOARD, SIZE, board_poses, optics, seen
 
 from jaxcam.errors import DatasetError
-from jaxcam.robot.calibration.lens import fit_lens
-from jaxcam.robot.calibration.lens_faults import board_shape, fit_checked
+from jaxcam.robot.calibration.lens.fit import fit_lens
+from jaxcam.robot.calibration.lens.faults import board_shape, fit_checked
 
 
 def good(count=12, seed=0, **more):

@@ -6,7 +6,7 @@ from seen_boards import BOARD, SIZE, WIDE, board_poses, optics, seen
 
 from jaxcam.errors import DatasetError
 from jaxcam.robot.calibration.boards import BoardSeen
-from jaxcam.robot.calibration.lens import fit_lens, project_board, ray_pixels
+from jaxcam.robot.calibration.lens.fit import fit_lens, project_board, ray_pixels
 from jaxcam.robot.calibration.projection import HALF, pixels_of, straightened
 
 

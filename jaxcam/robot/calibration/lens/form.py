@@ -10,10 +10,10 @@ from jaxcam.errors import DatasetError
 from jaxcam.files.paths import absolute
 from jaxcam.interop.cameras.writing import Changes, check_cameras, optics_json, update_cameras
 from jaxcam.robot.calibration.boards import Board, BoardSeen, why_not
-from jaxcam.robot.calibration.coverage import missing_places, missing_tilts, most_different
+from jaxcam.robot.calibration.lens.coverage import missing_places, missing_tilts, most_different
 from jaxcam.robot.calibration.figures import coverage_figure, residual_figure, space_figure
-from jaxcam.robot.calibration.lens import LensFit
-from jaxcam.robot.calibration.lens_faults import fit_checked
+from jaxcam.robot.calibration.lens.fit import LensFit
+from jaxcam.robot.calibration.lens.faults import fit_checked
 from jaxcam.robot.calibration.page import (
     CalibrationPage,
     overlay,
@@ -22,7 +22,7 @@ from jaxcam.robot.calibration.page import (
     write_calibration,
 )
 from jaxcam.robot.calibration.pictures import Picture, read_pictures
-from jaxcam.robot.calibration.printing import print_board
+from jaxcam.robot.calibration.lens.printing import print_board
 
 LEAST = 6
 """Pictures with the board that are needed."""

@@ -31,9 +31,9 @@ from jaxcam.robot.calibration.pose_page import (
     pose_rows,
     pose_verdict,
 )
-from jaxcam.robot.calibration.tag_pictures import TagSights, sights_of, standing
-from jaxcam.robot.calibration.tag_places import Tags, read_tags
-from jaxcam.robot.calibration.tags import PoseFit, locate, middle_corners, shifts
+from jaxcam.robot.calibration.tags.pictures import TagSights, sights_of, standing
+from jaxcam.robot.calibration.tags.places import Tags, read_tags
+from jaxcam.robot.calibration.tags.fit import PoseFit, locate, middle_corners, shifts
 
 SAME = 0.5
 """Pixels, of a picture 640 wide, up to which a camera stands in an episode as in the others."""
@@ -200,12 +200,12 @@ def _changes(located: Sequence[Located]) -> Changes:
 def _notes(located: Sequence[Located], tags: Tags) -> list[str]:
     notes = []
     for one in located:
-        away = sorted({
-            n for n, u in zip(np.repeat(one.fit.numbers, 4), one.fit.used, strict=True) if not u
-        })  # fmt: skip
-        if away:
-            notes.append(f"{one.words}: tags {', '.join(map(str, away))} do not lie where the file "
-                         "of tags has them, or are half hidden; they did not count.")  # fmt: skip
+        if one.fit.dropped:
+            notes.append(f"{one.words}: tag {one.fit.dropped[0]} does not lie where the file of tags "
+                         "has it; it did not count.")  # fmt: skip
+        elif not one.fit.used.all():
+            notes.append(f"{one.words}: {int((~one.fit.used).sum())} corners of tags did not count: "
+                         "half hidden, or of a tag that lies elsewhere.")  # fmt: skip
     alone = [one.words for one in located if len(one.fit.numbers) == 1]
     if alone:
         notes.append(

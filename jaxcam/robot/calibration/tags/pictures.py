@@ -9,9 +9,9 @@ from jaxcam.config.calibrate import TagFamily
 from jaxcam.errors import DatasetError
 from jaxcam.interop.cameras.optics import Optics
 from jaxcam.robot.calibration.boards import dictionary_of, other_family, tags_in
-from jaxcam.robot.calibration.edges import refine_corners
+from jaxcam.robot.calibration.tags.edges import refine_corners
 from jaxcam.robot.calibration.pictures import Picture
-from jaxcam.robot.calibration.tags import TagCorners, middle_corners, shifts
+from jaxcam.robot.calibration.tags.fit import TagCorners, middle_corners, shifts
 
 STILL = 0.8
 """Pixels, of a picture 640 wide, up to which tags stand where they were."""

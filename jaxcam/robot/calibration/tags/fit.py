@@ -23,7 +23,7 @@ from jaxcam.robot.calibration.projection import (
     spread_of,
     straightened,
 )
-from jaxcam.robot.calibration.tag_places import Tags, square
+from jaxcam.robot.calibration.tags.places import Tags, square
 
 SURE = 12.0
 """By how much the squared residuals of a second pose must be larger, in variances."""
@@ -31,6 +31,9 @@ ELSEWHERE = np.deg2rad(4)
 """Poses that differ by less are one."""
 SCALE = 0.03
 """Share by which tags may look larger or smaller than their places allow."""
+
+WRONG = 1.0
+"""Residuals (pixels, of a picture 640 wide) from when on a tag may lie elsewhere."""
 
 TagCorners = Mapping[int, np.ndarray]
 """Corners [4, 2] (pixels, ours) of tags in a picture, by their numbers."""
@@ -46,6 +49,8 @@ class PoseFit:
     """Of a small motion in the camera's axes: metres, then radians, [6, 6]."""
     numbers: tuple[int, ...]
     """Tags that were seen."""
+    dropped: tuple[int, ...]
+    """Tags that lie elsewhere than it is said of them; they did not count."""
     pixels: np.ndarray = field(repr=False)
     """Their corners, four each, [n, 2]."""
     residuals: np.ndarray = field(repr=False)
@@ -103,6 +108,40 @@ def locate(seen: TagCorners, tags: Tags, optics: Optics) -> PoseFit:
             f"no tag whose place is known: seen {sorted(seen) or 'none'}, known "
             f"{sorted(tags.corners)}."
         )
+    best, dropped = _best(numbers, seen, tags, optics), ()
+    limit = WRONG * max(optics.width / 640, 0.5)
+    if best.fitted.rms > limit and len(numbers) > 2:
+        fewer = [
+            (n, _best(tuple(m for m in numbers if m != n), seen, tags, optics)) for n in numbers
+        ]
+        number, other = min(fewer, key=lambda one: one[1].fitted.rms)
+        if other.fitted.rms < limit:
+            best, dropped = other, (number,)
+    if len(best.numbers) > 1:
+        _check_size(best, tags, optics)
+    if best.fitted.rms < limit:
+        _check_only(best)
+    covariance = best.fitted.covariance + _of_places(best, tags, optics)
+    return PoseFit(
+        best.pose, covariance, best.numbers, dropped, best.pixels, best.fitted.residuals,
+        best.fitted.used, best.fitted.rms,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Best:
+    """The pose that explains some tags best, and the others that were tried."""
+
+    numbers: tuple[int, ...]
+    points: np.ndarray
+    pixels: np.ndarray
+    pose: np.ndarray
+    fitted: Fitted
+    others: tuple[tuple[np.ndarray, float], ...]
+    """Poses, and by how much their squared residuals are larger."""
+
+
+def _best(numbers: tuple[int, ...], seen: TagCorners, tags: Tags, optics: Optics) -> _Best:
     points = np.concatenate([tags.corners[n] for n in numbers])
     pixels = np.concatenate([seen[n] for n in numbers])
     fits = [
@@ -111,18 +150,11 @@ def locate(seen: TagCorners, tags: Tags, optics: Optics) -> PoseFit:
     ]
     if not fits:
         raise DatasetError(f"no pose explains tags {list(numbers)}.")
+    costs = [_cost(fitted) for _, fitted in fits]
+    first = int(np.argmin(costs))
     poses = [moved(start, fitted.values) for start, fitted in fits]
-    squares = [_cost(fitted) for _, fitted in fits]
-    order = np.argsort(squares)
-    best = int(order[0])
-    fitted, pose = fits[best][1], poses[best]
-    _check_only(poses, squares, best, fitted, numbers)
-    if len(numbers) > 1:
-        _check_size(pose, numbers, points, pixels, tags, optics)
-    covariance = fitted.covariance + _of_places(pose, fitted, numbers, points, tags, optics)
-    return PoseFit(
-        pose, covariance, numbers, pixels, fitted.residuals, fitted.used, fitted.rms
-    )  # fmt: skip
+    others = tuple((pose, cost - costs[first]) for pose, cost in zip(poses, costs, strict=True))
+    return _Best(numbers, points, pixels, poses[first], fits[first][1], others)
 
 
 def tag_poses(corners: np.ndarray, size: float, optics: Optics) -> list[np.ndarray]:
@@ -207,39 +239,26 @@ def _cost(fitted: Fitted) -> float:
     return float(np.minimum((fitted.residuals**2).sum(-1), 25.0).sum())
 
 
-def _check_only(
-    poses: Sequence[np.ndarray],
-    squares: Sequence[float],
-    best: int,
-    fitted: Fitted,
-    numbers: Sequence[int],
-) -> None:
-    for i, pose in enumerate(poses):
-        angle = float(apart(poses[best], pose)[1])
-        more = (squares[i] - squares[best]) / fitted.sigma**2
-        if angle > ELSEWHERE and more < SURE:
+def _check_only(best: _Best) -> None:
+    for pose, more in best.others:
+        angle = float(apart(best.pose, pose)[1])
+        if angle > ELSEWHERE and more < SURE * best.fitted.sigma**2:
             raise DatasetError(
-                f"tag {', '.join(map(str, numbers))}: two poses explain the picture nearly as well "
+                f"tag {', '.join(map(str, best.numbers))}: two poses explain the picture nearly as well "
                 f"({np.rad2deg(angle):.0f} degrees apart), as of any small square that faces the "
                 "camera. Put a second tag somewhere else, not beside it, or come nearer, or look "
                 "at it from 30 degrees or more to the side."
             )
 
 
-def _check_size(
-    pose: np.ndarray,
-    numbers: Sequence[int],
-    points: np.ndarray,
-    pixels: np.ndarray,
-    tags: Tags,
-    optics: Optics,
-) -> None:
+def _check_size(best: _Best, tags: Tags, optics: Optics) -> None:
     """Refuses tags that look larger or smaller than their distances from each other allow."""
+    numbers, points, pose = best.numbers, best.points, best.pose
     middles = np.repeat([tags.corners[n].mean(0) for n in numbers], 4, 0)
 
     def residuals(x: np.ndarray) -> np.ndarray:
         scaled = middles + (1 + x[6]) * (points - middles)
-        return pixels_of(placed(np.linalg.inv(moved(pose, x[:6])), scaled), optics) - pixels
+        return pixels_of(placed(np.linalg.inv(moved(pose, x[:6])), scaled), optics) - best.pixels
 
     fitted = fit_pixels(residuals, np.zeros(7))
     scale, deviation = fitted.values[6], float(np.sqrt(fitted.covariance[6, 6]))
@@ -254,17 +273,11 @@ def _check_size(
         )
 
 
-def _of_places(
-    pose: np.ndarray,
-    fitted: Fitted,
-    numbers: Sequence[int],
-    points: np.ndarray,
-    tags: Tags,
-    optics: Optics,
-) -> np.ndarray:
+def _of_places(best: _Best, tags: Tags, optics: Optics) -> np.ndarray:
     """What not knowing the tags' places exactly adds to the covariance, [6, 6]."""
     if not tags.accuracy:
         return np.zeros((6, 6))
+    numbers, points, pose, fitted = best.numbers, best.points, best.pose, best.fitted
 
     def project(x: np.ndarray, where: np.ndarray) -> np.ndarray:
         return pixels_of(placed(np.linalg.inv(moved(pose, x)), where), optics)[fitted.used]

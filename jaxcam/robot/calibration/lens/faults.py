@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxcam.errors import DatasetError
 from jaxcam.robot.calibration.boards import Board, BoardSeen
-from jaxcam.robot.calibration.lens import LensFit, fit_lens, residuals_at_best
+from jaxcam.robot.calibration.lens.fit import LensFit, fit_lens, residuals_at_best
 from jaxcam.robot.calibration.projection import pixels_of, placed
 
 LEAST = 4
