@@ -140,10 +140,6 @@ def why_not(grey: np.ndarray, board: Board) -> str:
     if board.find(np.ascontiguousarray(grey[:, ::-1])):
         return "it is there mirrored: the pictures are flipped left to right. Take them unflipped"
     if board.kind == "chessboard":
-        for columns, rows in ((board.rows, board.columns),):
-            other = Board("chessboard", columns, rows, board.square, board.marker, board.family)
-            if columns != rows and other.find(grey):
-                return f"a board of {columns}x{rows} squares is there. Exchange --columns and --rows"
         return ""
     numbers = [tag for tag, _ in tags_in(grey, board.family)]
     if len(numbers) >= 3:

@@ -124,7 +124,7 @@ def _descend(problem: _Problem, x: np.ndarray, used: np.ndarray, soft: float) ->
         else:
             return x
         gain, x, cost, damping = cost - lower, ahead, lower, max(damping / 10, 1e-12)
-        if gain <= 1e-7 * cost + 1e-12:
+        if gain <= 1e-6 * cost + 1e-12:
             return x
     return x
 

@@ -206,7 +206,7 @@ def _starts(
         if done and np.isfinite([turn, place]).all():
             starts.insert(0, np.linalg.inv(pose_of(cv2.Rodrigues(turn)[0], place[:, 0])))
         off = [_off(start, points, pixels, optics) for start in starts]
-        starts = [starts[i] for i in np.argsort(off)[:4]]  # far more would be refined for nothing
+        starts = [starts[i] for i in np.argsort(off)[:3]]  # far more would be refined for nothing
     return starts
 
 
