@@ -44,7 +44,7 @@ def rays_of(K, height, width, lens=(), kind="opencv", samples=3):
     return np.stack(np.broadcast_arrays(*sight_lines(x, y, packed, kind)), -1)
 
 
-def draw(rays, world_from_camera, prints, rng, look=Look(), samples=3):  # noqa: B008
+def draw(rays, world_from_camera, prints, rng, look=Look(), samples=3):
     """A picture, uint8 [H, W, 3], of prints before a grey, uneven wall."""
     directions = (rays @ world_from_camera[:3, :3].T).astype(np.float32)
     centre = world_from_camera[:3, 3]
@@ -75,7 +75,7 @@ def draw(rays, world_from_camera, prints, rng, look=Look(), samples=3):  # noqa:
     return np.repeat(np.clip(np.rint(small), 0, 255).astype(np.uint8)[..., None], 3, -1)
 
 
-def boards_shown(rng, camera, board, count=20, look=Look(), samples=2):  # noqa: B008
+def boards_shown(rng, camera, board, count=20, look=Look(), samples=2):
     """Pictures of a board as somebody takes them who was told how: everywhere, and tilted.
 
     Args:

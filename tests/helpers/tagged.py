@@ -33,9 +33,9 @@ def tag_frames(numbers=(0, 1, 2, 3)):
     return {n: pose_of(turns[i], np.array([*PLACES[n], 0.0])) for i, n in enumerate(numbers)}
 
 
-def tags_at(frames, size=SIZE, accuracy=0.0):
-    corners = {n: placed(frame, square(size)) for n, frame in frames.items()}
-    return Tags(FAMILY, corners, dict.fromkeys(frames, size), accuracy)
+def tags_at(places, size=SIZE, accuracy=0.0):
+    corners = {n: placed(frame, square(size)) for n, frame in places.items()}
+    return Tags(FAMILY, corners, dict.fromkeys(places, size), accuracy)
 
 
 def eye(azimuth=0.4, elevation=0.8, far=0.8, aim=(0.0, 0.0, 0.0)):
@@ -45,12 +45,12 @@ def eye(azimuth=0.4, elevation=0.8, far=0.8, aim=(0.0, 0.0, 0.0)):
     return np.asarray(look_at(np.array(aim) + far * np.array(way), np.array(aim)), float)
 
 
-def corners_seen(pose, frames, rng, noise=0.05, size=SIZE):
+def corners_seen(pose, places, rng, noise=0.05, size=SIZE):
     """Corners of tags in a picture, by numbers alone."""
     camera = np.linalg.inv(pose)
     return {
         n: pixels_of(placed(camera @ frame, square(size)), OPTICS) + rng.normal(0, noise, (4, 2))
-        for n, frame in frames.items()
+        for n, frame in places.items()
     }
 
 
@@ -59,10 +59,10 @@ def all_rays():
     return rays_of(K, HEIGHT, WIDTH, LENS, samples=2)
 
 
-def drawn_tags(poses, frames, seed=0, size=SIZE, look=Look()):  # noqa: B008
-    """Pictures [n, H, W, 3] of tags, from a camera's poses; frames may be one dict a picture."""
+def drawn_tags(poses, places, seed=0, size=SIZE, look=Look()):  # noqa: B008
+    """Pictures [n, H, W, 3] of tags, from a camera's poses; places may be one dict a picture."""
     rng, rays = np.random.default_rng(seed), all_rays()
-    each = frames if isinstance(frames, list) else [frames] * len(poses)
+    each = places if isinstance(places, list) else [places] * len(poses)
     return np.stack([
         draw(rays, pose, [tag_print(FAMILY, n, size, f) for n, f in some.items()], rng, look, 2)
         for pose, some in zip(poses, each, strict=True)

@@ -36,11 +36,13 @@ class Changes:
     """By the view's name, how well it was calibrated; goes into `about`, `calibration`."""
 
 
-def optics_json(K: np.ndarray, size: tuple[int, int], lens: str, distortion: np.ndarray) -> ViewJson:
+def optics_json(
+    K: np.ndarray, size: tuple[int, int], lens: str, distortion: np.ndarray
+) -> ViewJson:
     """The entries that say how a view sees.
 
     Args:
-        K: [3, 3], its pixels ours.
+        K: Array [3, 3], its pixels ours.
         size: Width and height that it is for.
         lens: `opencv` or `fisheye`.
         distortion: Coefficients in OpenCV's order.
@@ -66,7 +68,7 @@ def pose_json(base_from_camera: np.ndarray) -> ViewJson:
     }
 
 
-def check_cameras(path: Path) -> None:
+def check_updatable(path: Path) -> None:
     """Refuses a place for a file of calibrations that cannot be updated.
 
     Args:
@@ -100,7 +102,7 @@ def update_cameras(path: Path, changes: Changes) -> Path:
     with exclusive(path):
         content: dict[str, Any] = {"format": FORMAT}
         if path.exists():
-            check_cameras(path)
+            check_updatable(path)
             content = read_json(path)
         views = content.setdefault("views", {})
         for name, entries in changes.views.items():

@@ -116,9 +116,9 @@ class Board:
             int(n): np.reshape(tag, (4, 2)).astype(float) + HALF
             for tag, n in zip(tags, np.ravel(numbers), strict=True)
         }
-        seen = BoardSeen(name, order, pixels.astype(float), markers)
+        there = BoardSeen(name, order, pixels.astype(float), markers)
         rank = np.linalg.matrix_rank(np.c_[self.points[order, :2], np.ones(len(order))], tol=1e-9)
-        return seen if rank == 3 else None  # corners on one line say nothing
+        return there if rank == 3 else None  # corners on one line say nothing
 
     def _find_plain(self, grey: np.ndarray, name: str) -> BoardSeen | None:
         flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY

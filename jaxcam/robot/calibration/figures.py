@@ -66,7 +66,8 @@ def coverage_figure(fit: LensFit) -> Figure:
     _picture_axes(where, *size, f"Corners of {len(fit.views)} pictures")
     pixels = ray_pixels(*size)
     shown = sure.contourf(pixels[..., 0], pixels[..., 1], np.minimum(2 * fit.rays, 4),
-                          levels=[0, 0.1, 0.2, 0.3, 0.5, 0.75, 1, 2, 4], cmap="viridis_r")  # fmt: skip
+                          levels=[0, 0.1, 0.2, 0.3, 0.5, 0.75, 1, 2, 4],
+                          cmap="viridis_r")  # fmt: skip
     _picture_axes(sure, *size, "Rays: two standard deviations (pixels)")
     figure.colorbar(shown, ax=sure, shrink=0.85)
     return figure
@@ -88,9 +89,9 @@ def space_figure(
         origin: What stands at zero.
     """
     figure = Figure(figsize=(8.2, 4.2), layout="constrained")
-    every = [np.zeros((1, 3)), *(s.reshape(-1, 3) for s in squares.values())]
-    every += [np.asarray(poses)[:, :3, 3] for poses in cameras.values()]
-    points = np.concatenate(every)
+    parts = [np.zeros((1, 3)), *(s.reshape(-1, 3) for s in squares.values())]
+    parts += [np.asarray(poses)[:, :3, 3] for poses in cameras.values()]
+    points = np.concatenate(parts)
     middle = (points.max(0) + points.min(0)) / 2
     reach = max(float(np.ptp(points, 0).max()) / 2, 0.1) * 1.15
     colours = (BLUE, VERMILION, GREEN, "#8A5FBF", "#B8860B", INK)
@@ -103,13 +104,17 @@ def space_figure(
             colour = colours[i % len(colours)]
             for pose in poses:
                 _pyramid(axes, pose, optics[view], 0.16 * reach, colour)
-            axes.text(*poses[0][:3, 3], f" {view}", fontsize=8, color=colour)
+            x, y, z = poses[0][:3, 3]
+            axes.text(x, y, z, f" {view}", fontsize=8, color=colour)
         for name, corners in squares.items():
             axes.add_collection3d(
                 Poly3DCollection(corners, facecolors="#C9CED6", edgecolors=INK, linewidths=0.7)
             )
-            axes.text(*corners[0].mean(0), f" {name}", fontsize=7, color=GREY)
-        for limit, centre in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), middle, strict=True):
+            x, y, z = corners[0].mean(0)
+            axes.text(x, y, z, f" {name}", fontsize=7, color=GREY)
+        for limit, centre in zip(
+            (axes.set_xlim, axes.set_ylim, axes.set_zlim), middle, strict=True
+        ):
             limit(centre - reach, centre + reach)
         axes.set_box_aspect((1, 1, 1))
         axes.view_init(elevation, azimuth)

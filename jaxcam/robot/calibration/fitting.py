@@ -1,4 +1,4 @@
-"""Least squares of pixels: what is far off is left out, and the rest says how sure the result is."""
+"""Least squares of pixels: what is far off is left out, the rest says how sure the result is."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

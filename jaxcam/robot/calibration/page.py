@@ -56,7 +56,9 @@ def page_path(out: str, cameras: Path, form: str, view: str) -> Path:
         ConfigError: Something else is there.
     """
     name = "".join(c if c.isalnum() or c in "-_" else "-" for c in view)
-    path = absolute(out) if out else cameras.with_name("-".join(filter(None, (form, name))) + ".html")
+    path = (
+        absolute(out) if out else cameras.with_name("-".join(filter(None, (form, name))) + ".html")
+    )
     if path.suffix != ".html":
         raise ConfigError(f"--out {path}: expected a name that ends in .html.")
     check_free(path, (cameras,))
@@ -91,26 +93,26 @@ def write_calibration(page: CalibrationPage, path: Path) -> Path:
 
 
 def overlay(
-    rgb: np.ndarray, seen: np.ndarray, fitted: np.ndarray, used: np.ndarray | None = None
+    rgb: np.ndarray, rings: np.ndarray, fitted: np.ndarray, used: np.ndarray | None = None
 ) -> np.ndarray:
     """A picture with rings where points were seen and crosses where the calibration has them.
 
     Args:
         rgb: The picture, uint8 [H, W, 3].
-        seen: Pixels [n, 2], ours.
+        rings: Pixels [n, 2], ours.
         fitted: Pixels [n, 2].
         used: Which count, bool [n]; the rings of others have another colour.
     """
     scale = max(1, -(-WIDE // rgb.shape[1]))
     size = rgb.shape[1] * scale, rgb.shape[0] * scale
     picture = cv2.resize(rgb, size, interpolation=cv2.INTER_CUBIC)
-    used = np.ones(len(seen), bool) if used is None else used
+    used = np.ones(len(rings), bool) if used is None else used
 
     def at(point: np.ndarray) -> tuple[int, int]:
         x, y = np.rint(np.clip((point * scale - 0.5) * 8, -1e6, 1e6)).astype(int)
         return int(x), int(y)
 
-    for ring, cross, is_used in zip(seen, fitted, used, strict=True):
+    for ring, cross, is_used in zip(rings, fitted, used, strict=True):
         cv2.circle(picture, at(ring), 40, SEEN if is_used else AWAY, 1, cv2.LINE_AA, shift=3)
         for step in (np.array([3.0, 3.0]), np.array([3.0, -3.0])):
             ends = at(cross - step / scale), at(cross + step / scale)

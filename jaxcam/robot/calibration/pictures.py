@@ -7,6 +7,7 @@ from pathlib import Path
 import av
 import cv2
 import numpy as np
+from av.error import FFmpegError
 
 from jaxcam.errors import DatasetError
 from jaxcam.files.paths import absolute, read_bytes
@@ -21,7 +22,7 @@ FROM_VIDEO = 240
 
 
 @dataclass(frozen=True)
-class Picture:
+class NamedPicture:
     """A picture and what to call it."""
 
     name: str
@@ -40,7 +41,7 @@ class Picture:
         return self.rgb.shape[1], self.rgb.shape[0]
 
 
-def read_pictures(sources: Sequence[str]) -> Iterator[Picture]:
+def read_pictures(sources: Sequence[str]) -> Iterator[NamedPicture]:
     """Pictures of one camera, in order.
 
     Args:
@@ -65,12 +66,12 @@ def read_pictures(sources: Sequence[str]) -> Iterator[Picture]:
         raise DatasetError(f"{', '.join(sources)}: a video without a picture.")
 
 
-def _all(sources: Sequence[str]) -> Iterator[Picture]:
+def _all(sources: Sequence[str]) -> Iterator[NamedPicture]:
     for path in _files(sources):
         if path.suffix.lower() in VIDEOS:
             yield from _of_video(path)
         else:
-            yield Picture(path.name, _of_file(path))
+            yield NamedPicture(path.name, _of_file(path))
 
 
 def _files(sources: Sequence[str]) -> list[Path]:
@@ -109,7 +110,7 @@ def _of_file(path: Path) -> np.ndarray:
     return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
 
 
-def _of_video(path: Path) -> Iterator[Picture]:
+def _of_video(path: Path) -> Iterator[NamedPicture]:
     """At most `FROM_VIDEO` pictures of a video, evenly spaced."""
     try:
         with av.open(str(path)) as container:
@@ -118,11 +119,13 @@ def _of_video(path: Path) -> Iterator[Picture]:
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
             count = stream.frames or _count(path)
-            every = max(1, -(-count // FROM_VIDEO))
+            stride = max(1, -(-count // FROM_VIDEO))
             for number, picture in enumerate(container.decode(stream)):
-                if number % every == 0:
-                    yield Picture(f"{path.name}, picture {number}", picture.to_ndarray(format="rgb24"))
-    except (av.FFmpegError, OSError) as error:
+                if number % stride == 0:
+                    yield NamedPicture(
+                        f"{path.name}, picture {number}", picture.to_ndarray(format="rgb24")
+                    )
+    except (FFmpegError, OSError) as error:
         raise DatasetError(
             f"{path}: a video that cannot be read, or damaged ({error.strerror})."
         ) from error

@@ -57,7 +57,7 @@ def straightened(pixels: np.ndarray, optics: Optics) -> np.ndarray:
 
 
 def placed(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points [..., 3] of one frame in another, by the pose [..., 4, 4] of the first in the other."""
+    """Points [..., 3] of one frame in another, by the first's pose [..., 4, 4] in the other."""
     return (pose[..., None, :3, :3] @ points[..., None])[..., 0] + pose[..., None, :3, 3]
 
 
@@ -65,7 +65,7 @@ def moved(pose: np.ndarray, change: np.ndarray) -> np.ndarray:
     """A pose after a small motion in its own axes.
 
     Args:
-        pose: [4, 4].
+        pose: Array [4, 4].
         change: Translation (m) and rotation vector (rad), [6].
     """
     result = pose.copy()
@@ -85,8 +85,8 @@ def apart(one: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """How far apart poses are.
 
     Args:
-        one: [..., 4, 4].
-        other: [..., 4, 4].
+        one: Array [..., 4, 4].
+        other: Array [..., 4, 4].
 
     Returns:
         Distances of their origins (m) and angles between them (rad), [...].

@@ -11,7 +11,7 @@ from jaxcam.errors import ConfigError, JaxcamError
 from jaxcam.interop.cameras.files import read_cameras
 from jaxcam.interop.cameras.writing import (
     Changes,
-    check_cameras,
+    check_updatable,
     optics_json,
     pose_json,
     update_cameras,
@@ -71,7 +71,10 @@ def test_what_is_there_stays(tmp_path):
 def test_what_is_no_file_of_calibrations_is_left_alone(tmp_path, content):
     path = tmp_path / "cameras.json"
     path.write_text(content)
-    for call in (lambda: check_cameras(path), lambda: update_cameras(path, Changes({"a": FRONT}))):
+    for call in (
+        lambda: check_updatable(path),
+        lambda: update_cameras(path, Changes({"a": FRONT})),
+    ):
         with pytest.raises(JaxcamError, match=r"cameras\.json"):
             call()
     assert path.read_text() == content
@@ -83,5 +86,5 @@ def test_what_could_not_be_read_again_is_not_written(tmp_path):
     with pytest.raises(JaxcamError, match=r"cameras\.json: view 'side'"):
         update_cameras(path, Changes({"side": {"K": [[1, 2]], "size": [640, 480]}}))
     assert path.read_text() == before
-    with pytest.raises(ConfigError, match="ends in .json"):
-        check_cameras(tmp_path / "cameras.yaml")
+    with pytest.raises(ConfigError, match=r"ends in \.json"):
+        check_updatable(tmp_path / "cameras.yaml")

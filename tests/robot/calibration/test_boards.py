@@ -23,12 +23,12 @@ def shown(board):
 
 @pytest.mark.parametrize("board", [BOARD, PLAIN], ids=["charuco", "chessboard"])
 def test_corners_are_where_they_were_drawn(board):
-    seen = board.find(shown(board), "a")
-    assert len(seen.ids) == 24
-    at = SQUARE + 30 + SQUARE * board.points[seen.ids, :2] / board.square
-    if board is PLAIN and np.abs(seen.pixels - at).max() > 1:
+    view = board.find(shown(board), "a")
+    assert len(view.ids) == 24
+    at = SQUARE + 30 + SQUARE * board.points[view.ids, :2] / board.square
+    if board is PLAIN and np.abs(view.pixels - at).max() > 1:
         at = at[::-1]  # half a turn is the same
-    np.testing.assert_allclose(seen.pixels, at, atol=0.3)
+    np.testing.assert_allclose(view.pixels, at, atol=0.3)
 
 
 def test_a_part_of_the_board_is_enough_but_not_a_line_of_it():
@@ -71,5 +71,5 @@ def test_another_family_is_named():
 
 
 def test_a_board_with_more_markers_than_the_family_has():
-    with pytest.raises(ConfigError, match="60 markers.*has 50"):
+    with pytest.raises(ConfigError, match=r"60 markers.*has 50"):
         Board("charuco", 12, 10, 0.03, 0.021, "4x4_50")

@@ -15,9 +15,9 @@ def line(noise=0.1, seed=0):
 def test_outliers_do_not_count_and_the_covariance_is_that_of_the_noise():
     errors, sigmas = [], []
     for seed in range(30):
-        seen = line(seed=seed)
-        seen[7] += 30
-        fitted = fit_pixels(lambda x, s=seen: np.c_[x[0] + x[1] * AT, 1 - AT] - s, np.zeros(2))
+        points = line(seed=seed)
+        points[7] += 30
+        fitted = fit_pixels(lambda x, s=points: np.c_[x[0] + x[1] * AT, 1 - AT] - s, np.zeros(2))
         assert not fitted.used[7]
         assert fitted.used.sum() >= 38
         errors.append(fitted.values - [2, 3])
@@ -26,22 +26,22 @@ def test_outliers_do_not_count_and_the_covariance_is_that_of_the_noise():
 
 
 def test_what_changes_nothing_is_not_determined():
-    seen = line()
-    fitted = fit_pixels(lambda x: np.c_[x[0] + x[1] * AT, 1 - AT + 0 * x[2]] - seen, np.zeros(3))
+    points = line()
+    fitted = fit_pixels(lambda x: np.c_[x[0] + x[1] * AT, 1 - AT + 0 * x[2]] - points, np.zeros(3))
     assert fitted.covariance[2, 2] > 1e6 * fitted.covariance[0, 0]
     held = fit_pixels(
-        lambda x: np.c_[x[0] + x[1] * AT, 1 - AT + 0 * x[2]] - seen,
+        lambda x: np.c_[x[0] + x[1] * AT, 1 - AT + 0 * x[2]] - points,
         np.zeros(3), prior=np.array([np.inf, np.inf, 0.5]),
     )  # fmt: skip
     assert 0.1 < np.sqrt(held.covariance[2, 2]) < 1.0
 
 
 def test_derivatives_of_ones_own_give_the_same():
-    seen = line()
+    points = line()
     slopes = np.zeros((40, 2, 2))
     slopes[:, 0] = np.c_[np.ones(40), AT]
     fits = [
-        fit_pixels(lambda x: np.c_[x[0] + x[1] * AT, 1 - AT] - seen, np.zeros(2), jacobian=j)
+        fit_pixels(lambda x: np.c_[x[0] + x[1] * AT, 1 - AT] - points, np.zeros(2), jacobian=j)
         for j in (None, lambda x: slopes)
     ]
     np.testing.assert_allclose(fits[0].values, fits[1].values, atol=1e-6)

@@ -24,7 +24,9 @@ def test_a_page_has_its_verdict_and_may_be_written_again(tmp_path):
         "residuals": residual_figure(
             rng.uniform(0, 480, (20, 2)), rng.normal(0, 0.1, (20, 2)), np.arange(20) > 1, (640, 480)
         ),
-        "space": space_figure({"front": [np.eye(4)]}, {"front": optics()}, {"tag": np.eye(4)[None, :, :3]}),
+        "space": space_figure(
+            {"front": [np.eye(4)]}, {"front": optics()}, {"tag": np.eye(4)[None, :, :3]}
+        ),
     }  # fmt: skip
     page = CalibrationPage("A <b>", "sub", "Not good enough: 3 mm.", False, [("x", "1", "2")],
                            notes=["look"], figures=figures)  # fmt: skip
@@ -38,7 +40,7 @@ def test_a_page_has_its_verdict_and_may_be_written_again(tmp_path):
     path.write_text("mine")
     with pytest.raises(ConfigError, match="jaxcam did not write it"):
         page_path(str(path), tmp_path / "cameras.json", "tags", "")
-    with pytest.raises(ConfigError, match="ends in .html"):
+    with pytest.raises(ConfigError, match=r"ends in \.html"):
         page_path("a.png", tmp_path / "cameras.json", "tags", "")
 
 

@@ -47,7 +47,9 @@ def test_what_cannot_be_read(tmp_path, name, content, match):
 def test_pictures_of_two_sizes(tmp_path):
     for name, size in (("a.png", (24, 32)), ("b.png", (32, 24))):
         cv2.imwrite(str(tmp_path / name), picture(size=size))
-    with pytest.raises(DatasetError, match=r"b\.png: 24x32 pixels, but a\.png has 32x24.*two cameras"):
+    with pytest.raises(
+        DatasetError, match=r"b\.png: 24x32 pixels, but a\.png has 32x24.*two cameras"
+    ):
         list(read_pictures([str(tmp_path)]))
 
 

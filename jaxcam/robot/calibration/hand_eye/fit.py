@@ -17,8 +17,8 @@ from jaxcam.interop.cameras.optics import Optics
 from jaxcam.rays.rotations import nearest_rotation
 from jaxcam.robot.calibration.fitting import Fitted, fit_pixels
 from jaxcam.robot.calibration.projection import moved, pixels_of, placed, pose_of, spread_of
-from jaxcam.robot.calibration.tags.places import square
 from jaxcam.robot.calibration.tags.fit import tag_poses
+from jaxcam.robot.calibration.tags.places import square
 
 TRIALS = 80
 """Few pictures that are tried at a time."""
@@ -145,8 +145,8 @@ def check_motions(base_from_grip: np.ndarray) -> None:
         )
     raise DatasetError(
         f"The hand turns about one axis only: {_axis(axes[0])} by {degrees[0]:.1f} degrees, others "
-        f"by {degrees[1]:.1f}; the camera's place along that axis is not determined. Lacking: turns "
-        f"about {names} of the grip, by {ADVISED} degrees and more (tilt the hand, too)."
+        f"by {degrees[1]:.1f}; the camera's place along that axis is not determined. Lacking: "
+        f"turns about {names} of the grip, by {ADVISED} degrees and more (tilt the hand, too)."
     )
 
 
@@ -209,7 +209,9 @@ def solve_linear(
     B, C = base_from_grip[:, :3, :3], camera_from_tag[:, :3, :3]
     # Row by row, vec(B Z) = (B ⊗ 1) vec(Z) and vec(X C) = (1 ⊗ Cᵀ) vec(X).
     one = np.eye(3)
-    rows = [np.concatenate([np.kron(b, one), -np.kron(one, c.T)], 1) for b, c in zip(B, C, strict=True)]
+    rows = [
+        np.concatenate([np.kron(b, one), -np.kron(one, c.T)], 1) for b, c in zip(B, C, strict=True)
+    ]
     both = np.linalg.svd(np.concatenate(rows))[2][-1]
     Z, X = both[:9].reshape(3, 3), both[9:].reshape(3, 3)
     sign = np.sign(np.linalg.det(X)) or 1.0
@@ -225,7 +227,7 @@ def most_different_poses(poses: np.ndarray, allowed: np.ndarray, most: int) -> l
     """Numbers of the poses that differ most, in order.
 
     Args:
-        poses: [n, 4, 4].
+        poses: Array [n, 4, 4].
         allowed: Which may be taken, bool [n].
         most: How many at most.
     """

@@ -1,6 +1,5 @@
 """`calibrate hand-eye`: from a tag on the hand to a camera's pose in the file of calibrations."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -12,10 +11,9 @@ from jaxcam.data.recorded.recording import Recording
 from jaxcam.errors import ConfigError, DatasetError, closest
 from jaxcam.files.paths import absolute
 from jaxcam.interop.cameras.optics import Optics
-from jaxcam.interop.cameras.writing import Changes, check_cameras, pose_json, update_cameras
+from jaxcam.interop.cameras.writing import Changes, check_updatable, pose_json, update_cameras
 from jaxcam.interop.recordings import read_recording
 from jaxcam.robot.calibration.figures import residual_figure, space_figure
-from jaxcam.robot.calibration.hand_eye.grip_poses import COUNTS, GripNumbers, grip_numbers, poses_of_grip
 from jaxcam.robot.calibration.hand_eye.fit import (
     ENOUGH,
     HandEyeFit,
@@ -23,6 +21,12 @@ from jaxcam.robot.calibration.hand_eye.fit import (
     most_different_poses,
     slow_steps,
     turns_of,
+)
+from jaxcam.robot.calibration.hand_eye.grip_poses import (
+    COUNTS,
+    GripNumbers,
+    grip_numbers,
+    poses_of_grip,
 )
 from jaxcam.robot.calibration.known import optics_of_view
 from jaxcam.robot.calibration.page import (
@@ -32,7 +36,7 @@ from jaxcam.robot.calibration.page import (
     spread_out,
     write_calibration,
 )
-from jaxcam.robot.calibration.pictures import Picture
+from jaxcam.robot.calibration.pictures import NamedPicture
 from jaxcam.robot.calibration.pose_page import OFF, pose_verdict
 from jaxcam.robot.calibration.projection import placed
 from jaxcam.robot.calibration.tags.pictures import NEEDS, find_tags
@@ -56,7 +60,7 @@ class Shots:
     """[n, P]."""
     corners: np.ndarray = field(repr=False)
     """Of the tag, [n, 4, 2]."""
-    pictures: tuple[Picture, ...] = field(repr=False)
+    pictures: tuple[NamedPicture, ...] = field(repr=False)
 
 
 def calibrate_hand_eye(config: HandEyeConfig, console: Console) -> None:
@@ -67,7 +71,7 @@ def calibrate_hand_eye(config: HandEyeConfig, console: Console) -> None:
         DatasetError: The pictures or the motions are not what is needed.
     """
     cameras = absolute(config.cameras)
-    check_cameras(cameras)
+    check_updatable(cameras)
     path = page_path(config.out, cameras, "hand-eye", config.view)
     recording = read_recording(absolute(config.dataset))
     if config.view not in recording.views:
@@ -125,7 +129,7 @@ def take_shots(
         for step, rgb in enumerate(episode.sights[config.view].decode()):
             if step not in steps:
                 continue
-            picture = Picture(f"episode {number}, step {step}", rgb)
+            picture = NamedPicture(f"episode {number}, step {step}", rgb)
             first = first or picture
             tags = find_tags(picture, config.family, optics)
             others |= tags.keys() - {config.tag}
@@ -168,7 +172,7 @@ def fit_shots(
             f"These motions do not tell the camera's pose: it is sure to {1000 * place:.0f} mm and "
             f"{np.rad2deg(turn):.1f} degrees. The hand turns by "
             f"{', '.join(f'{x:.0f}' for x in np.rad2deg(spreads))} degrees about three axes; "
-            f"lacking are turns about {np.round(axes[1], 1)} and {np.round(axes[2], 1)} of the grip."
+            f"lacking are turns about {np.round(axes[1], 1)} and {np.round(axes[2], 1)} of it."
         )
     return fit
 
@@ -182,9 +186,7 @@ def _explains(fit: HandEyeFit, limit: float) -> bool:
     return fit.rms < limit and fit.used.mean() > 0.7
 
 
-def _why(
-    shots: Shots, columns: GripNumbers, fit: HandEyeFit, size: float, optics: Optics
-) -> str:
+def _why(shots: Shots, columns: GripNumbers, fit: HandEyeFit, size: float, optics: Optics) -> str:
     """Why the grip's poses do not explain the tag's pictures."""
     limit = OFF * max(optics.width / 640, 0.5)
     off = np.linalg.norm(fit.residuals, axis=-1)
@@ -273,9 +275,9 @@ def _page(
     for i in spread_out(len(shots.pictures)):
         picture = shots.pictures[i]
         fitted = shots.corners[i] + fit.residuals[i]
-        overlays[f"{picture.name}: rings are the tag's corners, crosses where the fit has them."] = (
-            overlay(picture.rgb, shots.corners[i], fitted, fit.used[i])
-        )
+        overlays[
+            f"{picture.name}: rings are the tag's corners, crosses where the fit has them."
+        ] = overlay(picture.rgb, shots.corners[i], fitted, fit.used[i])
     corners = np.stack([
         placed(pose @ fit.grip_from_tag, square(config.size_mm / 1000)) for pose in poses
     ])  # fmt: skip
@@ -288,9 +290,7 @@ def _page(
             (optics.width, optics.height),
         ),
     }  # fmt: skip
-    subtitle = (
-        f"{len(poses)} pictures of tag {config.tag}, {config.family}, {config.size_mm:g} mm"
-    )
+    subtitle = f"{len(poses)} pictures of tag {config.tag}, {config.family}, {config.size_mm:g} mm"
     head = ("quantity", "value", "deviation", "rotation")
     return CalibrationPage(
         f"Hand and eye: {config.view}", subtitle, verdict, good, rows, head,

@@ -141,7 +141,8 @@ def _rotations(values: np.ndarray, form: RotationForm, where: str) -> np.ndarray
         return np.asarray(matrix_from_quaternion(wxyz / length))
     if np.abs(values).max() > 7:
         raise DatasetError(
-            f"{where}: an angle of {np.abs(values).max():g}; expected radians. Likely cause: degrees."
+            f"{where}: an angle of {np.abs(values).max():g}; expected radians. Likely cause: "
+            "degrees."
         )
     if form == "rotvec":
         return Rotation.from_rotvec(values).as_matrix()

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jaxcam.config.calibrate import LensKind
 from jaxcam.errors import DatasetError
 from jaxcam.robot.calibration.boards import Board, BoardSeen
 from jaxcam.robot.calibration.lens.fit import LensFit, fit_lens, residuals_at_best
@@ -41,7 +42,11 @@ def per_picture(fit: LensFit) -> np.ndarray:
 
 
 def fit_checked(
-    board: Board, views: Sequence[BoardSeen], size: tuple[int, int], kind: str, coefficients: int
+    board: Board,
+    views: Sequence[BoardSeen],
+    size: tuple[int, int],
+    kind: LensKind,
+    coefficients: int,
 ) -> tuple[LensFit, list[str]]:
     """The fit of those pictures that one lens explains, and what was left out.
 
@@ -104,16 +109,16 @@ def board_shape(board: Board, fit: LensFit) -> Shape:
             normal[i] += J.T @ J
             side[i] -= J.T @ r
         before += float((residuals[used] ** 2).sum())
-    seen = np.array([np.linalg.cond(n) < 1e8 if n.any() else False for n in normal])
+    known = np.array([np.linalg.cond(n) < 1e8 if n.any() else False for n in normal])
     shift = np.full((count, 3), np.nan)
-    shift[seen] = np.linalg.solve(normal[seen], side[seen][..., None])[..., 0]
-    gain = float(np.einsum("ni,ni->", side[seen], shift[seen]))
+    shift[known] = np.linalg.solve(normal[known], side[known][..., None])[..., 0]
+    gain = float(np.einsum("ni,ni->", side[known], shift[known]))
     used_count = 2 * sum(int(u.sum()) for u in fit.used)
-    gain -= 3 * seen.sum() * before / max(used_count, 1)  # what as many numbers explain of noise
+    gain -= 3 * known.sum() * before / max(used_count, 1)  # what as many numbers explain of noise
     height = shift[:, 2]
-    if seen.sum() >= 4:
+    if known.sum() >= 4:
         plane = np.c_[board.points[:, :2], np.ones(count)]
-        height = height - plane @ np.linalg.lstsq(plane[seen], height[seen], rcond=None)[0]
+        height = height - plane @ np.linalg.lstsq(plane[known], height[known], rcond=None)[0]
     return Shape(height, gain / max(before, 1e-12))
 
 
@@ -130,17 +135,21 @@ def _check_flat(board: Board, fit: LensFit, least: float = BENT) -> None:
 
 
 def _one_camera(
-    board: Board, views: Sequence[BoardSeen], size: tuple[int, int], kind: str, coefficients: int
+    board: Board,
+    views: Sequence[BoardSeen],
+    size: tuple[int, int],
+    kind: LensKind,
+    coefficients: int,
 ) -> list[int]:
     """The largest group of pictures that one lens explains."""
     rng, best = np.random.default_rng(0), []
     few = min(coefficients, 4)
     for trial in range(TRIALS):
         # Pictures of one camera mostly follow each other.
-        first = rng.integers(len(views)) if trial % 2 else trial * len(views) // TRIALS
+        first = int(rng.integers(len(views))) if trial % 2 else trial * len(views) // TRIALS
         some = [(first + i) % len(views) for i in range(LEAST)]
         if trial % 2:
-            some = list(rng.choice(len(views), min(LEAST, len(views)), replace=False))
+            some = rng.choice(len(views), min(LEAST, len(views)), replace=False).tolist()
         try:
             fit = fit_lens(board.points, [views[i] for i in some], size, kind, few)
         except DatasetError:
@@ -167,7 +176,7 @@ def _check_two(
     one: Sequence[int],
     rest: Sequence[int],
     size: tuple[int, int],
-    kind: str,
+    kind: LensKind,
     coefficients: int,
 ) -> None:
     if min(len(one), len(rest)) < LEAST:

@@ -162,9 +162,9 @@ def project_board(
     """OpenCV's pixels of points, with derivatives.
 
     Args:
-        points: [n, 3] (m).
+        points: Array [n, 3] (m).
         pose: Rotation vector and translation of the points' frame in the camera's axes, [6].
-        own: fx, fy, cx, cy as OpenCV counts pixels, and the coefficients.
+        own: Numbers fx, fy, cx, cy as OpenCV counts pixels, and the coefficients.
         kind: Model of the lens.
 
     Returns:
@@ -209,7 +209,9 @@ def _start(model: _Model) -> np.ndarray:
     return best
 
 
-def _pose(points: np.ndarray, pixels: np.ndarray, own: np.ndarray, kind: LensKind) -> np.ndarray | None:
+def _pose(
+    points: np.ndarray, pixels: np.ndarray, own: np.ndarray, kind: LensKind
+) -> np.ndarray | None:
     """Pose of a board, roughly, as a rotation vector and a translation."""
     fx, fy, cx, cy = own[:4]
     rays = (pixels - [cx, cy]) / [fx, fy]
@@ -217,7 +219,9 @@ def _pose(points: np.ndarray, pixels: np.ndarray, own: np.ndarray, kind: LensKin
         angle = np.linalg.norm(rays, axis=-1, keepdims=True)
         rays = rays * np.tan(np.minimum(angle, 1.45)) / np.maximum(angle, 1e-9)
     middle = points.mean(0)
-    done, turn, shift = cv2.solvePnP(points - middle, rays, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+    done, turn, shift = cv2.solvePnP(
+        points - middle, rays, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
+    )
     if not done or not np.isfinite([turn, shift]).all():
         return None
     shift = shift[:, 0] - cv2.Rodrigues(turn)[0] @ middle
@@ -254,9 +258,9 @@ def _rays(optics: Optics, own: np.ndarray, covariance: np.ndarray, kind: LensKin
     pixels = ray_pixels(optics.width, optics.height)
     x, y = lens.normalised(optics.K, pixels[..., 0], pixels[..., 1])
     sight = np.stack(lens.sight_lines(x, y, optics.distortion, "opencv"), -1)
-    seen = sight[..., 2] > 0
-    slopes = project_board(sight[seen].reshape(-1, 3), np.zeros(6), own, kind)[1]
+    has_ray = sight[..., 2] > 0
+    slopes = project_board(sight[has_ray].reshape(-1, 3), np.zeros(6), own, kind)[1]
     spread = np.full(GRID, np.nan)
     variance = np.einsum("nij,jk,nik->n", slopes, covariance, slopes)
-    spread[seen] = np.sqrt(np.maximum(variance, 0))
+    spread[has_ray] = np.sqrt(np.maximum(variance, 0))
     return spread

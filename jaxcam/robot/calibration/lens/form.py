@@ -8,12 +8,13 @@ from rich.console import Console
 from jaxcam.config.calibrate import LensConfig
 from jaxcam.errors import DatasetError
 from jaxcam.files.paths import absolute
-from jaxcam.interop.cameras.writing import Changes, check_cameras, optics_json, update_cameras
+from jaxcam.interop.cameras.writing import Changes, check_updatable, optics_json, update_cameras
 from jaxcam.robot.calibration.boards import Board, BoardSeen, why_not
-from jaxcam.robot.calibration.lens.coverage import missing_places, missing_tilts, most_different
 from jaxcam.robot.calibration.figures import coverage_figure, residual_figure, space_figure
-from jaxcam.robot.calibration.lens.fit import LensFit
+from jaxcam.robot.calibration.lens.coverage import missing_places, missing_tilts, most_different
 from jaxcam.robot.calibration.lens.faults import fit_checked
+from jaxcam.robot.calibration.lens.fit import LensFit
+from jaxcam.robot.calibration.lens.printing import print_board
 from jaxcam.robot.calibration.page import (
     CalibrationPage,
     overlay,
@@ -21,13 +22,12 @@ from jaxcam.robot.calibration.page import (
     spread_out,
     write_calibration,
 )
-from jaxcam.robot.calibration.pictures import Picture, read_pictures
-from jaxcam.robot.calibration.lens.printing import print_board
+from jaxcam.robot.calibration.pictures import NamedPicture, read_pictures
 
 LEAST = 6
 """Pictures with the board that are needed."""
 GOOD, FAIR = 0.5, 2.0
-"""Two standard deviations of the worst ray (pixels at VGA) up to which a lens is good, or usable."""
+"""Two standard deviations of the worst ray (pixels at VGA) of a good lens, and of a usable one."""
 UNKNOWN = 0.02
 """Standard deviation of the focal length, as a share of it, from when on nothing is written."""
 
@@ -51,7 +51,7 @@ def calibrate_lens(config: LensConfig, console: Console) -> None:
         )  # fmt: skip
         return
     cameras = absolute(config.cameras)
-    check_cameras(cameras)
+    check_updatable(cameras)
     path = page_path(config.out, cameras, "lens", config.view)
     with console.status("looking for the board"):
         pictures, views, notes = find_boards(read_pictures(config.pictures), board)
@@ -81,8 +81,8 @@ def calibrate_lens(config: LensConfig, console: Console) -> None:
 
 
 def find_boards(
-    pictures: Iterator[Picture], board: Board
-) -> tuple[list[Picture], list[BoardSeen], list[str]]:
+    pictures: Iterator[NamedPicture], board: Board
+) -> tuple[list[NamedPicture], list[BoardSeen], list[str]]:
     """The pictures that show the board, its corners in each, and what there is to know.
 
     Args:
@@ -139,8 +139,8 @@ def _require_known(fit: LensFit) -> None:
         raise DatasetError(
             f"These pictures do not tell the lens: the focal length is sure to {share:.1%} and the "
             f"centre to {centre:.1%} of the width; expected below {UNKNOWN:.0%}. Likely cause: the "
-            f"board is parallel to the picture, or the same, in all of them. Take pictures {tilts}, "
-            "by 30 degrees or more, near and far."
+            f"board is parallel to the picture, or the same, in all of them. Take pictures "
+            f"{tilts}, by 30 degrees or more, near and far."
         )
 
 
@@ -181,7 +181,7 @@ def _page(
     config: LensConfig,
     board: Board,
     fit: LensFit,
-    pictures: Sequence[Picture],
+    pictures: Sequence[NamedPicture],
     notes: Sequence[str],
 ) -> CalibrationPage:
     verdict, good = _verdict(fit)

@@ -50,7 +50,9 @@ def print_board(board: Board, path: Path) -> str:
         )
     figure = Figure(figsize=(sheet[0] / INCH, sheet[1] / INCH))
     left, bottom = (sheet[0] - width) / 2, (sheet[1] - height - NOTE) / 2 + NOTE
-    axes = figure.add_axes((left / sheet[0], bottom / sheet[1], width / sheet[0], height / sheet[1]))
+    axes = figure.add_axes(
+        (left / sheet[0], bottom / sheet[1], width / sheet[0], height / sheet[1])
+    )
     axes.imshow(board.drawn(PIXELS), cmap="gray", vmin=0, vmax=255, interpolation="none",
                 aspect="auto", resample=False)  # fmt: skip
     axes.set_axis_off()
@@ -62,9 +64,7 @@ def print_board(board: Board, path: Path) -> str:
     line.plot([0, bar], [5, 5], color="black", linewidth=0.8, solid_capstyle="butt")
     for x in (0, bar):
         line.plot([x, x], [3.5, 6.5], color="black", linewidth=0.8)
-    words = (
-        f"This line is {bar:g} mm: measure it. Print at 100 %, do not scale. {board.words}."
-    )
+    words = f"This line is {bar:g} mm: measure it. Print at 100 %, do not scale. {board.words}."
     line.text(0, 0, words, fontsize=7, va="bottom")
     with whole(path) as part:
         figure.savefig(part, format="pdf")

@@ -49,9 +49,7 @@ def refine_corners(grey: np.ndarray, corners: np.ndarray, cells: int, optics: Op
     return corners
 
 
-def _lines(
-    grey: np.ndarray, corners: np.ndarray, cells: int, optics: Optics
-) -> np.ndarray | None:
+def _lines(grey: np.ndarray, corners: np.ndarray, cells: int, optics: Optics) -> np.ndarray | None:
     """The four sides as lines in normalised coordinates, [4, 3]: from each corner to the next."""
     flat = straightened(corners, optics)
     if not np.isfinite(flat).all():

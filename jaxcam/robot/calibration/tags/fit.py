@@ -90,11 +90,11 @@ def shifts(pictures: Sequence[TagCorners], middle: TagCorners) -> np.ndarray:
     return result
 
 
-def locate(seen: TagCorners, tags: Tags, optics: Optics) -> PoseFit:
+def locate(sight: TagCorners, tags: Tags, optics: Optics) -> PoseFit:
     """Finds where a camera stands.
 
     Args:
-        seen: Corners of tags in its picture; tags whose place nobody says do not count.
+        sight: Corners of tags in its picture; tags whose place nobody says do not count.
         tags: Their places.
         optics: How the camera sees.
 
@@ -102,17 +102,17 @@ def locate(seen: TagCorners, tags: Tags, optics: Optics) -> PoseFit:
         DatasetError: No known tag is there, two poses explain what was seen, or the tags have
             another size or other places.
     """
-    numbers = tuple(n for n in sorted(seen) if n in tags.corners)
+    numbers = tuple(n for n in sorted(sight) if n in tags.corners)
     if not numbers:
         raise DatasetError(
-            f"no tag whose place is known: seen {sorted(seen) or 'none'}, known "
+            f"no tag whose place is known: seen {sorted(sight) or 'none'}, known "
             f"{sorted(tags.corners)}."
         )
-    best, dropped = _best(numbers, seen, tags, optics), ()
+    best, dropped = _best(numbers, sight, tags, optics), ()
     limit = WRONG * max(optics.width / 640, 0.5)
     if best.fitted.rms > limit and len(numbers) > 2:
         fewer = [
-            (n, _best(tuple(m for m in numbers if m != n), seen, tags, optics)) for n in numbers
+            (n, _best(tuple(m for m in numbers if m != n), sight, tags, optics)) for n in numbers
         ]
         number, other = min(fewer, key=lambda one: one[1].fitted.rms)
         if other.fitted.rms < limit:
@@ -141,12 +141,12 @@ class _Best:
     """Poses, and by how much their squared residuals are larger."""
 
 
-def _best(numbers: tuple[int, ...], seen: TagCorners, tags: Tags, optics: Optics) -> _Best:
+def _best(numbers: tuple[int, ...], sight: TagCorners, tags: Tags, optics: Optics) -> _Best:
     points = np.concatenate([tags.corners[n] for n in numbers])
-    pixels = np.concatenate([seen[n] for n in numbers])
+    pixels = np.concatenate([sight[n] for n in numbers])
     fits = [
         (start, _refined(start, points, pixels, optics))
-        for start in _starts(numbers, seen, points, pixels, tags, optics)
+        for start in _starts(numbers, sight, points, pixels, tags, optics)
     ]
     if not fits:
         raise DatasetError(f"no pose explains tags {list(numbers)}.")
@@ -186,7 +186,7 @@ def tag_poses(corners: np.ndarray, size: float, optics: Optics) -> list[np.ndarr
 
 def _starts(
     numbers: Sequence[int],
-    seen: TagCorners,
+    sight: TagCorners,
     points: np.ndarray,
     pixels: np.ndarray,
     tags: Tags,
@@ -196,8 +196,8 @@ def _starts(
     starts = []
     for number in numbers:
         base_from_tag = frame_of(tags.corners[number])
-        for camera_from_tag in tag_poses(seen[number], tags.sizes[number], optics):
-            starts.append(base_from_tag @ np.linalg.inv(camera_from_tag))
+        poses = tag_poses(sight[number], tags.sizes[number], optics)
+        starts += [base_from_tag @ np.linalg.inv(camera_from_tag) for camera_from_tag in poses]
     if len(numbers) > 1:
         rays = straightened(pixels, optics)
         done, turn, place = cv2.solvePnP(
@@ -225,9 +225,7 @@ def _off(pose: np.ndarray, points: np.ndarray, pixels: np.ndarray, optics: Optic
     return float(np.median(np.linalg.norm(fitted - pixels, axis=-1)))
 
 
-def _refined(
-    start: np.ndarray, points: np.ndarray, pixels: np.ndarray, optics: Optics
-) -> Fitted:
+def _refined(start: np.ndarray, points: np.ndarray, pixels: np.ndarray, optics: Optics) -> Fitted:
     return fit_pixels(
         lambda x: pixels_of(placed(np.linalg.inv(moved(start, x)), points), optics) - pixels,
         np.zeros(6),
@@ -244,10 +242,10 @@ def _check_only(best: _Best) -> None:
         angle = float(apart(best.pose, pose)[1])
         if angle > ELSEWHERE and more < SURE * best.fitted.sigma**2:
             raise DatasetError(
-                f"tag {', '.join(map(str, best.numbers))}: two poses explain the picture nearly as well "
-                f"({np.rad2deg(angle):.0f} degrees apart), as of any small square that faces the "
-                "camera. Put a second tag somewhere else, not beside it, or come nearer, or look "
-                "at it from 30 degrees or more to the side."
+                f"tag {', '.join(map(str, best.numbers))}: two poses explain the picture "
+                f"nearly as well ({np.rad2deg(angle):.0f} degrees apart), as of any small square "
+                "that faces the camera. Put a second tag somewhere else, not beside it, or come "
+                "nearer, or look at it from 30 degrees or more to the side."
             )
 
 
@@ -264,10 +262,10 @@ def _check_size(best: _Best, tags: Tags, optics: Optics) -> None:
     scale, deviation = fitted.values[6], float(np.sqrt(fitted.covariance[6, 6]))
     if abs(scale) > max(SCALE, 5 * deviation):
         sizes = sorted({tags.sizes[n] for n in numbers})
-        told = ", ".join(f"{1000 * s:.0f}" for s in sizes)
+        said = ", ".join(f"{1000 * s:.0f}" for s in sizes)
         got = ", ".join(f"{1000 * s * (1 + scale):.0f}" for s in sizes)
         raise DatasetError(
-            f"the tags are said to be {told} mm, but look like {got} mm at these places. 'size' is "
+            f"the tags are said to be {said} mm, but look like {got} mm at these places. 'size' is "
             "the side of the black square without the white margin: measure it on the print; or "
             "the tags lie elsewhere than the file says."
         )
@@ -284,7 +282,8 @@ def _of_places(best: _Best, tags: Tags, optics: Optics) -> np.ndarray:
 
     h = 1e-6
     slopes = np.stack(
-        [(project(h * e, points) - project(-h * e, points)).ravel() / (2 * h) for e in np.eye(6)], -1
+        [(project(h * e, points) - project(-h * e, points)).ravel() / (2 * h) for e in np.eye(6)],
+        -1,
     )
     gain = np.linalg.pinv(slopes)
     added = np.zeros((6, 6))

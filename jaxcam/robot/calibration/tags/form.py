@@ -11,7 +11,7 @@ from jaxcam.data.recorded.recording import Recording, Sight
 from jaxcam.errors import ConfigError, DatasetError, closest
 from jaxcam.files.paths import absolute
 from jaxcam.interop.cameras.optics import Optics
-from jaxcam.interop.cameras.writing import Changes, check_cameras, pose_json, update_cameras
+from jaxcam.interop.cameras.writing import Changes, check_updatable, pose_json, update_cameras
 from jaxcam.interop.recordings import is_recording, read_recording
 from jaxcam.robot.calibration.figures import residual_figure, space_figure
 from jaxcam.robot.calibration.known import optics_of_view
@@ -21,7 +21,7 @@ from jaxcam.robot.calibration.page import (
     spread_out,
     write_calibration,
 )
-from jaxcam.robot.calibration.pictures import Picture, read_pictures
+from jaxcam.robot.calibration.pictures import NamedPicture, read_pictures
 from jaxcam.robot.calibration.pose_page import (
     OFF,
     POSE_HEAD,
@@ -31,9 +31,9 @@ from jaxcam.robot.calibration.pose_page import (
     pose_rows,
     pose_verdict,
 )
-from jaxcam.robot.calibration.tags.pictures import TagSights, sights_of, standing
-from jaxcam.robot.calibration.tags.places import Tags, read_tags
 from jaxcam.robot.calibration.tags.fit import PoseFit, locate, middle_corners, shifts
+from jaxcam.robot.calibration.tags.pictures import TagSights, standing, tag_sights
+from jaxcam.robot.calibration.tags.places import Tags, read_tags
 
 SAME = 0.5
 """Pixels, of a picture 640 wide, up to which a camera stands in an episode as in the others."""
@@ -47,7 +47,7 @@ def calibrate_tags(config: TagsConfig, console: Console) -> None:
         DatasetError: The pictures are not what is needed; the message says what is missing.
     """
     cameras, tags = absolute(config.cameras), read_tags(absolute(config.tags))
-    check_cameras(cameras)
+    check_updatable(cameras)
     path = page_path(config.out, cameras, "tags", config.view)
     source = absolute(config.source[0])
     with console.status("looking for tags"):
@@ -65,9 +65,7 @@ def calibrate_tags(config: TagsConfig, console: Console) -> None:
     console.print(f"{cameras}: poses of {views}. Page: {path}", soft_wrap=True)
 
 
-def _of_pictures(
-    config: TagsConfig, tags: Tags, cameras: Path
-) -> tuple[list[Located], list[str]]:
+def _of_pictures(config: TagsConfig, tags: Tags, cameras: Path) -> tuple[list[Located], list[str]]:
     """The pose of the one camera that pictures are of."""
     if not config.view:
         raise ConfigError(
@@ -77,7 +75,7 @@ def _of_pictures(
     pictures = [pictures[i] for i in spread_out(len(pictures), config.most)]
     optics = optics_of_view(cameras, config.view, pictures[0].size)
     where = f"view '{config.view}'"
-    sights = sights_of(pictures, tags.family, tags.corners, optics, where)
+    sights = tag_sights(pictures, tags.family, tags.corners, optics, where)
     still, notes = standing(sights, pictures[0].size, where)
     if sights.without:
         notes.append(f"No known tag in {len(sights.without)} pictures: {sights.without[0]} ….")
@@ -121,7 +119,7 @@ def _of_view(
         size = sight.width, sight.height
         optics = optics_of_view(cameras, view, size)
         try:
-            some = sights_of(
+            some = tag_sights(
                 pictures_of(sight, episode.length, most), tags.family, tags.corners, optics, where
             )
             sights[number], more = standing(some, size, where)
@@ -152,7 +150,7 @@ def _of_view(
     return located, notes
 
 
-def pictures_of(sight: Sight, length: int, most: int) -> Iterator[Picture]:
+def pictures_of(sight: Sight, length: int, most: int) -> Iterator[NamedPicture]:
     """Pictures of an episode, evenly spaced.
 
     Args:
@@ -163,7 +161,7 @@ def pictures_of(sight: Sight, length: int, most: int) -> Iterator[Picture]:
     chosen = set(spread_out(length, most))
     for step, rgb in enumerate(sight.decode()):
         if step in chosen:
-            yield Picture(f"step {step}", rgb)
+            yield NamedPicture(f"step {step}", rgb)
 
 
 def _located(sights: TagSights, tags: Tags, optics: Optics, where: str) -> PoseFit:
@@ -174,10 +172,10 @@ def _located(sights: TagSights, tags: Tags, optics: Optics, where: str) -> PoseF
     limit = OFF * max(optics.width / 640, 0.5)
     if fit.rms > limit or fit.used.mean() < 0.5:
         raise DatasetError(
-            f"{where}: tags are {fit.rms:.1f} pixels from where the file of tags has them (expected "
-            f"below {limit:.1f}), and {(~fit.used).mean():.0%} of their corners do not fit at all; "
-            f"seen: {', '.join(map(str, fit.numbers))}. Likely causes: a place in the file is "
-            "wrong, was measured in another frame than the robot's base, or has the wrong axes "
+            f"{where}: tags are {fit.rms:.1f} pixels from where the file of tags has them "
+            f"(expected below {limit:.1f}), and {(~fit.used).mean():.0%} of their corners do not "
+            f"fit at all; seen: {', '.join(map(str, fit.numbers))}. Likely causes: a "
+            "place in the file is wrong, was measured in another frame than the robot's base, or has the wrong axes "
             "(x right, y up, z out of the tag); two tags are exchanged; K is another camera's."
         )
     return fit
@@ -201,16 +199,16 @@ def _notes(located: Sequence[Located], tags: Tags) -> list[str]:
     notes = []
     for one in located:
         if one.fit.dropped:
-            notes.append(f"{one.words}: tag {one.fit.dropped[0]} does not lie where the file of tags "
-                         "has it; it did not count.")  # fmt: skip
+            notes.append(f"{one.words}: tag {one.fit.dropped[0]} does not lie where the file has "
+                         "it; it did not count.")  # fmt: skip
         elif not one.fit.used.all():
-            notes.append(f"{one.words}: {int((~one.fit.used).sum())} corners of tags did not count: "
-                         "half hidden, or of a tag that lies elsewhere.")  # fmt: skip
+            notes.append(f"{one.words}: {int((~one.fit.used).sum())} corners did not count: half "
+                         "hidden, or of a tag that lies elsewhere.")  # fmt: skip
     alone = [one.words for one in located if len(one.fit.numbers) == 1]
     if alone:
         notes.append(
-            f"One tag alone ({alone[0]}): that its size is right cannot be seen. A second one tells, "
-            "and makes the rotation surer."
+            f"One tag alone ({alone[0]}): that its size is right cannot be seen. A second one "
+            "tells, and makes the rotation surer."
         )
     if not tags.accuracy:
         notes.append("Deviations are of the pictures alone: 'accuracy' in the file of tags says "
@@ -233,8 +231,9 @@ def _page(located: Sequence[Located], tags: Tags, notes: Sequence[str]) -> Calib
             {f"tag {n}": corners[None] for n, corners in tags.corners.items()},
         ),
         "What the fit leaves of each corner.": residual_figure(
-            *(np.concatenate([getattr(one.fit, name) for one in own])
-              for name in ("pixels", "residuals", "used")), size,
+            np.concatenate([one.fit.pixels for one in own]),
+            np.concatenate([one.fit.residuals for one in own]),
+            np.concatenate([one.fit.used for one in own]), size,
         ),
     }  # fmt: skip
     overlays = {

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -9,8 +10,8 @@ from jaxcam.config.calibrate import TagFamily
 from jaxcam.errors import DatasetError
 from jaxcam.interop.cameras.optics import Optics
 from jaxcam.robot.calibration.boards import dictionary_of, other_family, tags_in
+from jaxcam.robot.calibration.pictures import NamedPicture
 from jaxcam.robot.calibration.tags.edges import refine_corners
-from jaxcam.robot.calibration.pictures import Picture
 from jaxcam.robot.calibration.tags.fit import TagCorners, middle_corners, shifts
 
 STILL = 0.8
@@ -42,7 +43,7 @@ class TagSights:
         return middle_corners(self.pictures)
 
 
-def find_tags(picture: Picture, family: TagFamily, optics: Optics) -> dict[int, np.ndarray]:
+def find_tags(picture: NamedPicture, family: TagFamily, optics: Optics) -> dict[int, np.ndarray]:
     """Corners of the tags in a picture, refined; one that is there twice is none.
 
     Args:
@@ -60,8 +61,12 @@ def find_tags(picture: Picture, family: TagFamily, optics: Optics) -> dict[int, 
     return {n: c for n, c in found_tags.items() if n not in twice}
 
 
-def sights_of(
-    pictures: Iterable[Picture], family: TagFamily, known: Iterable[int], optics: Optics, where: str
+def tag_sights(
+    pictures: Iterable[NamedPicture],
+    family: TagFamily,
+    known: Iterable[int],
+    optics: Optics,
+    where: str,
 ) -> TagSights:
     """The tags in the pictures of a camera.
 
@@ -104,7 +109,7 @@ def _list(numbers: Iterable[int]) -> str:
     return ", ".join(map(str, ordered[:8])) + (" …" if len(ordered) > 8 else "")
 
 
-def _why_none(picture: Picture, family: TagFamily, others: set[int], known: set[int]) -> str:
+def _why_none(picture: NamedPicture, family: TagFamily, others: set[int], known: set[int]) -> str:
     if others:
         return (
             f"Other tags are there: {_list(others)}; known are {_list(known)}. Were others put up, "
@@ -160,7 +165,7 @@ def standing(sights: TagSights, size: tuple[int, int], where: str) -> tuple[TagS
 def _changes(pictures: Sequence[TagCorners]) -> int:
     """The first picture whose tags are farthest from those of the picture before it."""
     steps = [0.0]
-    for before, after in zip(pictures, pictures[1:], strict=False):
+    for before, after in pairwise(pictures):
         off = [np.linalg.norm(after[n] - before[n], axis=-1) for n in after if n in before]
         steps.append(float(np.median(np.concatenate(off))) if off else 0.0)
     return int(np.argmax(steps))

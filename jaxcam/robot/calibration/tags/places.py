@@ -144,8 +144,8 @@ def _corners(tag: TagEntries, size: float, where: str, folder: Path) -> np.ndarr
     lengths = np.concatenate([sides, diagonals])
     if (np.abs(lengths / size - 1) > SQUARE).any():
         raise ConfigError(
-            f"{where}, corners: sides of {', '.join(f'{1000 * s:.0f}' for s in sides)} mm; expected "
-            f"a square of {1000 * size:.0f} mm. Likely cause: corners of the white margin, in "
-            "another order, or another 'size'."
+            f"{where}, corners: sides of {', '.join(f'{1000 * s:.0f}' for s in sides)} mm; "
+            f"expected a square of {1000 * size:.0f} mm. Likely cause: corners of the "
+            "white margin, in another order, or another 'size'."
         )
     return corners

@@ -52,9 +52,9 @@ def test_fifteen_poses_give_camera_and_tag():
 
 def test_pictures_that_show_something_else_do_not_count():
     poses = grips(20)
-    seen = corners(poses)
-    seen[[3, 11]] += 25
-    fit = fit_hand_eye(poses, seen, SIZE, OPTICS)
+    shown = corners(poses)
+    shown[[3, 11]] += 25
+    fit = fit_hand_eye(poses, shown, SIZE, OPTICS)
     assert not fit.used[[3, 11]].any()
     assert apart(CAMERA, fit.base_from_camera)[0] < 0.003
 
@@ -86,7 +86,7 @@ def test_turns_are_about_the_grips_own_axes():
 
 def test_too_few_pictures():
     poses = grips(4)
-    with pytest.raises(DatasetError, match="4 pictures.*at least 6"):
+    with pytest.raises(DatasetError, match=r"4 pictures.*at least 6"):
         fit_hand_eye(poses, corners(poses), SIZE, OPTICS)
 
 

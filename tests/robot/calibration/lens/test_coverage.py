@@ -19,7 +19,7 @@ RNG = np.random.default_rng(0)
 
 
 def at(u, v, n=40):
-    pixels = RNG.uniform(-10, 10, (n, 2)) + [u, v]
+    pixels = RNG.uniform(-10, 10, (n, 2)) + np.array([u, v])
     return BoardSeen(f"{u} {v}", np.arange(n), pixels)
 
 
@@ -38,13 +38,23 @@ def test_parts_without_corners_are_named():
 
 @pytest.mark.parametrize(
     ("turn", "nearer"),
-    [([0, 0.5, 0], "right"), ([0, -0.5, 0], "left"), ([0.5, 0, 0], "upper"), ([-0.5, 0, 0], "lower")],
+    [
+        ([0, 0.5, 0], "right"),
+        ([0, -0.5, 0], "left"),
+        ([0.5, 0, 0], "upper"),
+        ([-0.5, 0, 0], "lower"),
+    ],
 )
 def test_tilts_are_named_by_the_edge_that_is_nearer(turn, nearer):
     """Checked on the board's own corners."""
     rotation = Rotation.from_rotvec(turn).as_matrix()
     pose = pose_of(rotation, np.array([0.0, 0, 0.5]))[None]
-    edges = {"right": [1.0, 0, 0], "left": [-1.0, 0, 0], "upper": [0, -1.0, 0], "lower": [0, 1.0, 0]}
+    edges = {
+        "right": [1.0, 0, 0],
+        "left": [-1.0, 0, 0],
+        "upper": [0, -1.0, 0],
+        "lower": [0, 1.0, 0],
+    }
     depth = {name: (rotation @ np.array(edge))[2] for name, edge in edges.items()}
     assert min(depth, key=depth.get) == nearer
     assert f"{nearer} edge nearer" not in missing_tilts(pose)

@@ -5,8 +5,8 @@ import pytest
 from seen_boards import BOARD, SIZE, board_poses, optics, seen
 
 from jaxcam.errors import DatasetError
-from jaxcam.robot.calibration.lens.fit import fit_lens
 from jaxcam.robot.calibration.lens.faults import board_shape, fit_checked
+from jaxcam.robot.calibration.lens.fit import fit_lens
 
 
 def good(count=12, seed=0, **more):
@@ -23,10 +23,10 @@ def test_good_pictures_pass():
 def test_pictures_of_two_cameras_are_told_apart():
     rng = np.random.default_rng(1)
     other = seen(optics(480.0), board_poses(rng, 6, far=0.2), rng, name="other")
-    with pytest.raises(DatasetError, match=r"two cameras.*zoom or focus.*6 with.*6 with") as told:
+    with pytest.raises(DatasetError, match=r"two cameras.*zoom or focus.*6 with.*6 with") as caught:
         fit_checked(BOARD, good(6) + other, SIZE, "opencv", 4)
-    assert "480" in str(told.value)
-    assert "600" in str(told.value)
+    assert "480" in str(caught.value)
+    assert "600" in str(caught.value)
 
 
 def test_one_picture_of_something_else_is_left_out_and_named():

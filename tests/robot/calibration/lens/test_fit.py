@@ -64,7 +64,9 @@ def test_points_without_sense_are_refused():
         fit_lens(BOARD.points, views, SIZE)
 
 
-@pytest.mark.parametrize(("kind", "lens"), [("opencv", (-0.2, 0.05, 4e-4, -3e-4)), ("fisheye", WIDE)])
+@pytest.mark.parametrize(
+    ("kind", "lens"), [("opencv", (-0.2, 0.05, 4e-4, -3e-4)), ("fisheye", WIDE)]
+)
 def test_opencvs_projection_is_that_of_the_rays(kind, lens):
     """Its pixels are half a pixel less."""
     camera = optics(400.0, lens, kind)

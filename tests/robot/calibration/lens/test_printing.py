@@ -16,7 +16,9 @@ POINT = 25.4 / 72
 def drawn(path):
     """Of a PDF: the sheet, and the image's width and height, in mm."""
     content = path.read_bytes()
-    sheet = [float(x) * POINT for x in re.search(rb"/MediaBox \[ 0 0 (\S+) (\S+) \]", content).groups()]
+    sheet = [
+        float(x) * POINT for x in re.search(rb"/MediaBox \[ 0 0 (\S+) (\S+) \]", content).groups()
+    ]
     for stream in re.findall(rb"stream\r?\n(.*?)endstream", content, re.DOTALL):
         try:
             text = zlib.decompress(stream)
@@ -44,6 +46,6 @@ def test_what_cannot_be_printed(tmp_path):
     board = Board("charuco", 10, 8, 0.3, 0.2, "4x4_50")
     with pytest.raises(ConfigError, match="fits on no sheet"):
         print_board(board, tmp_path / "board.pdf")
-    with pytest.raises(ConfigError, match="ends in .pdf"):
+    with pytest.raises(ConfigError, match=r"ends in \.pdf"):
         print_board(board, tmp_path / "board.png")
     assert not list(tmp_path.iterdir())

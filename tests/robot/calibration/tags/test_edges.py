@@ -8,11 +8,11 @@ from jaxcam.robot.calibration.tags.edges import refine_corners
 
 
 def test_sides_give_corners_better_than_opencv_does():
-    frames = tag_frames()
+    places = tag_frames()
     poses = [eye(azimuth=a, far=0.6) for a in (0.2, 2.0)]
     rough, fine = [], []
-    for pose, picture in zip(poses, drawn_tags(poses, frames), strict=True):
-        true = corners_seen(pose, frames, np.random.default_rng(0), noise=0)
+    for pose, picture in zip(poses, drawn_tags(poses, places), strict=True):
+        true = corners_seen(pose, places, np.random.default_rng(0), noise=0)
         grey = np.ascontiguousarray(picture[..., 0])
         for number, corners in tags_in(grey, FAMILY):
             rough.append(corners - true[number])

@@ -15,11 +15,11 @@ def off(pose, fit):
 
 
 def test_several_tags_give_the_pose_and_how_sure_it_is():
-    frames, errors, sure = tag_frames(), [], []
+    places, errors, sure = tag_frames(), [], []
     for seed in range(6):
         pose = eye(azimuth=seed, far=1.0)
-        seen = corners_seen(pose, frames, np.random.default_rng(seed))
-        fit = locate(seen, tags_at(frames), OPTICS)
+        shown = corners_seen(pose, places, np.random.default_rng(seed))
+        fit = locate(shown, tags_at(places), OPTICS)
         errors.append(off(pose, fit))
         sure.append((1000 * fit.spread[0], np.rad2deg(fit.spread[1])))
     median = np.median(errors, 0)
@@ -30,50 +30,52 @@ def test_several_tags_give_the_pose_and_how_sure_it_is():
 
 
 def test_one_tag_from_the_side_is_enough():
-    frames = tag_frames((1,))
+    places = tag_frames((1,))
     pose = eye(elevation=0.6, far=0.5, aim=(0.15, 0.1, 0))
-    fit = locate(corners_seen(pose, frames, np.random.default_rng(0), 0.03), tags_at(frames), OPTICS)
+    fit = locate(
+        corners_seen(pose, places, np.random.default_rng(0), 0.03), tags_at(places), OPTICS
+    )
     place, turn = off(pose, fit)
     assert place < 6
     assert turn < 0.8
 
 
 def test_one_tag_that_faces_the_camera_is_refused():
-    frames, pose = tag_frames((0,)), eye(elevation=1.35, far=2.0)
-    seen = corners_seen(pose, frames, np.random.default_rng(0))
+    places, pose = tag_frames((0,)), eye(elevation=1.35, far=2.0)
+    shown = corners_seen(pose, places, np.random.default_rng(0))
     with pytest.raises(DatasetError, match=r"two poses.*second tag"):
-        locate(seen, tags_at(frames), OPTICS)
+        locate(shown, tags_at(places), OPTICS)
 
 
 def test_a_tag_that_lies_elsewhere_does_not_count():
-    frames, pose = tag_frames(), eye()
-    seen = corners_seen(pose, frames, np.random.default_rng(0))
-    frames[3] = frames[3].copy()
-    frames[3][:2, 3] += 0.03
-    fit = locate(seen, tags_at(frames), OPTICS)
+    places, pose = tag_frames(), eye()
+    shown = corners_seen(pose, places, np.random.default_rng(0))
+    places[3] = places[3].copy()
+    places[3][:2, 3] += 0.03
+    fit = locate(shown, tags_at(places), OPTICS)
     assert fit.dropped == (3,)
     assert fit.numbers == (0, 1, 2)
     assert off(pose, fit)[0] < 2
 
 
 def test_another_size_than_the_file_says():
-    frames, pose = tag_frames(), eye()
-    seen = corners_seen(pose, frames, np.random.default_rng(0), size=0.1)
+    places, pose = tag_frames(), eye()
+    shown = corners_seen(pose, places, np.random.default_rng(0), size=0.1)
     with pytest.raises(DatasetError, match=r"80 mm, but look like (99|100|101) mm.*black square"):
-        locate(seen, tags_at(frames), OPTICS)
+        locate(shown, tags_at(places), OPTICS)
 
 
 def test_tags_whose_places_nobody_knows():
-    seen = corners_seen(eye(), tag_frames((2,)), np.random.default_rng(0))
+    shown = corners_seen(eye(), tag_frames((2,)), np.random.default_rng(0))
     with pytest.raises(DatasetError, match=r"seen \[2\], known \[0\]"):
-        locate(seen, tags_at(tag_frames((0,))), OPTICS)
+        locate(shown, tags_at(tag_frames((0,))), OPTICS)
 
 
 def test_places_that_are_not_exact_make_the_pose_less_sure():
-    frames, pose = tag_frames(), eye()
-    seen = corners_seen(pose, frames, np.random.default_rng(0))
+    places, pose = tag_frames(), eye()
+    shown = corners_seen(pose, places, np.random.default_rng(0))
     spreads = [
-        locate(seen, tags_at(frames, accuracy=a), OPTICS).spread[0] for a in (0, 0.002, 0.004)
+        locate(shown, tags_at(places, accuracy=a), OPTICS).spread[0] for a in (0, 0.002, 0.004)
     ]
     assert spreads[0] < 0.0015 < spreads[1]
     assert spreads[2] / spreads[1] == pytest.approx(2, rel=0.2)
@@ -90,7 +92,7 @@ def test_medians_over_pictures_and_shifts_from_them():
 
 
 def test_the_axes_of_a_tag_are_those_of_its_corners():
-    frames = tag_frames()
-    for number, corners in tags_at(frames).corners.items():
-        np.testing.assert_allclose(frame_of(corners), frames[number], atol=1e-9)
+    places = tag_frames()
+    for number, corners in tags_at(places).corners.items():
+        np.testing.assert_allclose(frame_of(corners), places[number], atol=1e-9)
         assert np.linalg.norm(corners[1] - corners[0]) == pytest.approx(SIZE)

@@ -5,20 +5,20 @@ import pytest
 from tagged import FAMILY, HEIGHT, OPTICS, WIDTH, corners_seen, drawn_tags, eye, tag_frames
 
 from jaxcam.errors import DatasetError
-from jaxcam.robot.calibration.pictures import Picture
-from jaxcam.robot.calibration.tags.pictures import TagSights, sights_of, standing
+from jaxcam.robot.calibration.pictures import NamedPicture
+from jaxcam.robot.calibration.tags.pictures import TagSights, standing, tag_sights
 
 SIZE = WIDTH, HEIGHT
 
 
 @pytest.fixture(scope="module")
 def picture():
-    return Picture("a.png", drawn_tags([eye(far=0.6)], tag_frames())[0])
+    return NamedPicture("a.png", drawn_tags([eye(far=0.6)], tag_frames())[0])
 
 
 def test_known_tags_are_found(picture):
-    grey = Picture("b.png", np.full_like(picture.rgb, 90))
-    sights = sights_of([picture, grey], FAMILY, (0, 1, 2), OPTICS, "view 'front'")
+    grey = NamedPicture("b.png", np.full_like(picture.rgb, 90))
+    sights = tag_sights([picture, grey], FAMILY, (0, 1, 2), OPTICS, "view 'front'")
     assert sights.names == ("a.png",)
     assert sights.without == ("b.png",)
     assert set(sights.middle) <= {0, 1, 2}
@@ -35,14 +35,14 @@ def test_known_tags_are_found(picture):
     ],
 )
 def test_no_tag_says_why(picture, change, family, known, match):
-    other = Picture("a.png", np.ascontiguousarray(change(picture.rgb)))
+    other = NamedPicture("a.png", np.ascontiguousarray(change(picture.rgb)))
     with pytest.raises(DatasetError, match=match):
-        sights_of([other], family, known, OPTICS, "view 'front'")
+        tag_sights([other], family, known, OPTICS, "view 'front'")
 
 
 def sights(poses):
-    rng, frames = np.random.default_rng(0), tag_frames()
-    corners = tuple(corners_seen(pose, frames, rng) for pose in poses)
+    rng, places = np.random.default_rng(0), tag_frames()
+    corners = tuple(corners_seen(pose, places, rng) for pose in poses)
     names = tuple(f"{i}.png" for i in range(len(poses)))
     return TagSights(names, corners, np.zeros((2, 2, 3), np.uint8))
 

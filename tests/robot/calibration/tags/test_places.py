@@ -44,7 +44,7 @@ def test_poses_and_touched_corners(tmp_path):
         ({"0": {}}, {}, "either"),
         ({"0": {"pose": FLAT}}, {}, "Unknown setting 'pose'"),
         ({"0": {"corners": CORNERS[:3]}}, {}, "four points"),
-        ({"0": {"corners": CORNERS}}, {"size": 0.1}, r"80, 80, 80, 80 mm; expected a square of 100"),
+        ({"0": {"corners": CORNERS}}, {"size": 0.1}, "80 mm; expected a square of 100"),
         ({"0": {"corners": [CORNERS[i] for i in (0, 2, 1, 3)]}}, {}, "another order"),
         ({"0": {"base_from_tag": {**FLAT, "quaternion_wxyz": [1, 1, 0, 0]}}}, {}, "length 1"),
         ({}, {}, "no tag"),
