@@ -3,12 +3,12 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import get_args
 
 import cv2
 import numpy as np
 
 from jaxcam.config.calibrate import BoardName, TagFamily
-from jaxcam.config.names import names_of
 from jaxcam.errors import ConfigError
 from jaxcam.robot.calibration.projection import HALF
 
@@ -111,7 +111,8 @@ class Board:
         corners, ids, tags, numbers = self.detector.detectBoard(grey)
         if ids is None or len(ids) < LEAST_CORNERS:
             return None
-        pixels, order = np.reshape(corners, (-1, 2)) + HALF, np.ravel(ids)
+        pixels = np.reshape(corners, (-1, 2)) + HALF
+        order = np.ravel(ids).astype(int)
         markers = {
             int(n): np.reshape(tag, (4, 2)).astype(float) + HALF
             for tag, n in zip(tags, np.ravel(numbers), strict=True)
@@ -178,8 +179,9 @@ def other_family(grey: np.ndarray, family: TagFamily) -> TagFamily | None:
         grey: Uint8 [H, W].
         family: The one asked for.
     """
-    counts: dict[TagFamily, int] = {
-        other: len(list(tags_in(grey, other))) for other in names_of(TagFamily) if other != family
-    }
-    best = max(counts, key=lambda name: counts[name])
-    return best if counts[best] else None
+    best, most = None, 0
+    for other in get_args(TagFamily):
+        count = len(list(tags_in(grey, other))) if other != family else 0
+        if count > most:
+            best, most = other, count
+    return best

@@ -144,24 +144,20 @@ def _require_known(fit: LensFit) -> None:
         )
 
 
-def _worst(fit: LensFit) -> float:
-    """Two standard deviations of the worst ray, in pixels of a picture 640 wide."""
-    return 2 * float(np.nanmax(fit.rays)) * 640 / fit.optics.width
-
-
 def _verdict(fit: LensFit) -> tuple[str, bool]:
-    worst, middle = _worst(fit), 2 * float(np.nanmedian(fit.rays))
+    worst, middle = 2 * float(np.nanmax(fit.rays)), 2 * float(np.nanmedian(fit.rays))
+    scale = max(fit.optics.width / 640, 0.5)
     degrees = np.rad2deg(middle / fit.optics.K[0, 0])
     sure = f"rays are known to {middle:.2f} pixels ({degrees:.3f} degrees) in most of the picture"
-    if worst <= GOOD:
+    if worst <= GOOD * scale:
         return f"Good enough: {sure}, and to {worst:.2f} in its worst corner.", True
-    if worst <= FAIR:
+    if worst <= FAIR * scale:
         return (
             f"Good enough for most uses: {sure}, but only to {worst:.2f} in its worst corner; "
             "more pictures there would help.", True,
         )  # fmt: skip
     return (
-        f"Not good enough at the picture's edge: {sure}, but only to {worst:.1f} in its worst "
+        f"Not good enough at the picture's edge: {sure}, but only to {worst:.2f} in its worst "
         "corner. Take more pictures there.", False,
     )  # fmt: skip
 

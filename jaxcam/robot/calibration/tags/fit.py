@@ -290,7 +290,7 @@ def _of_places(best: _Best, tags: Tags, optics: Optics) -> np.ndarray:
     for i, number in enumerate(numbers):
         frame, own = frame_of(tags.corners[number]), slice(4 * i, 4 * i + 4)
         for k, step in enumerate(np.eye(6)):
-            size = h if k < 3 else h / (tags.sizes[number] / 2)
+            size = h if k < 3 else h / tags.sizes[number]
             ahead = points.copy()
             local = placed(np.asarray(invert(frame)), points[own])
             ahead[own] = placed(moved(frame, size * step), local)

@@ -175,8 +175,9 @@ def _located(sights: TagSights, tags: Tags, optics: Optics, where: str) -> PoseF
             f"{where}: tags are {fit.rms:.1f} pixels from where the file of tags has them "
             f"(expected below {limit:.1f}), and {(~fit.used).mean():.0%} of their corners do not "
             f"fit at all; seen: {', '.join(map(str, fit.numbers))}. Likely causes: a "
-            "place in the file is wrong, was measured in another frame than the robot's base, or has the wrong axes "
-            "(x right, y up, z out of the tag); two tags are exchanged; K is another camera's."
+            "place in the file is wrong, was measured in another frame than the robot's base, or "
+            "has the wrong axes (x right, y up, z out of the tag); two tags are exchanged; K is "
+            "another camera's."
         )
     return fit
 
