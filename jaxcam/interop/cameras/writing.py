@@ -32,6 +32,8 @@ class Changes:
     """By the view's name, entries of `docs/cameras.schema.json`."""
     episodes: Mapping[str, Mapping[str, ViewJson]] = field(default_factory=dict)
     """By an episode's number, then by the view's name."""
+    everywhere: tuple[str, ...] = ()
+    """Views whose new pose was measured in all episodes: poses that single ones had go."""
     about: Mapping[str, Any] = field(default_factory=dict)
     """By the view's name, how well it was calibrated; goes into `about`, `calibration`."""
 
@@ -111,6 +113,11 @@ def update_cameras(path: Path, changes: Changes) -> Path:
             episode = content.setdefault("episodes", {}).setdefault(number, {})
             for name, entries in own.items():
                 episode[name] = _changed(episode.get(name) or {}, entries)
+        for own in (e for e in content.get("episodes", {}).values() if e):
+            for name in changes.everywhere:
+                own[name] = {k: v for k, v in own.pop(name, {}).items() if k not in POSES}
+                if not own[name]:
+                    del own[name]
         if changes.about:
             content["about"] = _about(content.get("about"), changes.about)
         with whole(path) as part:
@@ -120,6 +127,18 @@ def update_cameras(path: Path, changes: Changes) -> Path:
             except JaxcamError as error:
                 raise ConfigError(str(error).replace(str(part), str(path))) from error
     return path
+
+
+def overruled(path: Path, view: str) -> list[str]:
+    """Episodes that have a pose of their own for a view, which comes before the view's.
+
+    Args:
+        path: File of calibrations.
+        view: The camera's name.
+    """
+    episodes = read_cameras(path).episodes
+    content = read_json(path).get("episodes", {})
+    return [e for e in episodes if set(content[e].get(view) or {}) & set(POSES)]
 
 
 def _changed(old: ViewJson, new: ViewJson) -> ViewJson:

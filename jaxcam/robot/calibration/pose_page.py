@@ -92,3 +92,16 @@ def pose_about(one: Located) -> dict[str, object]:
         "tags": list(one.fit.numbers),
         "pictures": one.pictures,
     }
+
+
+def overruled_note(view: str, episodes: list[str]) -> str:
+    """That single episodes keep poses of their own.
+
+    Args:
+        view: The camera's name.
+        episodes: Their names in the file.
+    """
+    return (
+        f"The file has poses of view {view} for episodes {', '.join(episodes[:8])} alone, which "
+        "stay, and come before this one there. Take them out of it if the camera never moved."
+    )

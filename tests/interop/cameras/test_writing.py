@@ -13,6 +13,7 @@ from jaxcam.interop.cameras.writing import (
     Changes,
     check_updatable,
     optics_json,
+    overruled,
     pose_json,
     update_cameras,
 )
@@ -50,7 +51,7 @@ def test_what_is_there_stays(tmp_path):
     }  # fmt: skip
     path.write_text(json.dumps(old))
     about = {"front": {"pose": {"rms": 0.1}}}
-    update_cameras(path, Changes({"front": pose_json(POSE)}, {"3": {"front": FRONT}}, about))
+    update_cameras(path, Changes({"front": pose_json(POSE)}, {"3": {"front": FRONT}}, about=about))
     new = json.loads(path.read_text())
     assert new["views"]["side"] == side
     front = new["views"]["front"]
@@ -88,3 +89,20 @@ def test_what_could_not_be_read_again_is_not_written(tmp_path):
     assert path.read_text() == before
     with pytest.raises(ConfigError, match=r"ends in \.json"):
         check_updatable(tmp_path / "cameras.yaml")
+
+
+def test_poses_of_single_episodes_stay_unless_the_new_one_was_measured_in_all(tmp_path):
+    path = update_cameras(
+        tmp_path / "cameras.json",
+        Changes(
+            {"front": FRONT},
+            {"1": {"front": pose_json(POSE) | FRONT}, "2": {"front": pose_json(POSE)}},
+        ),
+    )
+    update_cameras(path, Changes({"front": pose_json(POSE)}))
+    assert overruled(path, "front") == ["1", "2"]
+    update_cameras(path, Changes({"front": pose_json(POSE)}, everywhere=("front",)))
+    assert overruled(path, "front") == []
+    episodes = json.loads(path.read_text())["episodes"]
+    assert set(episodes["1"]["front"]) == set(FRONT)
+    assert episodes["2"] == {}

@@ -11,7 +11,13 @@ from jaxcam.data.recorded.recording import Recording
 from jaxcam.errors import ConfigError, DatasetError, closest
 from jaxcam.files.paths import absolute
 from jaxcam.interop.cameras.optics import Optics
-from jaxcam.interop.cameras.writing import Changes, check_updatable, pose_json, update_cameras
+from jaxcam.interop.cameras.writing import (
+    Changes,
+    check_updatable,
+    overruled,
+    pose_json,
+    update_cameras,
+)
 from jaxcam.interop.recordings import read_recording
 from jaxcam.robot.calibration.figures import residual_figure, space_figure
 from jaxcam.robot.calibration.hand_eye.fit import (
@@ -37,7 +43,7 @@ from jaxcam.robot.calibration.page import (
     write_calibration,
 )
 from jaxcam.robot.calibration.pictures import NamedPicture
-from jaxcam.robot.calibration.pose_page import OFF, pose_verdict
+from jaxcam.robot.calibration.pose_page import OFF, overruled_note, pose_verdict
 from jaxcam.robot.calibration.projection import placed
 from jaxcam.robot.calibration.tags.pictures import NEEDS, find_tags
 from jaxcam.robot.calibration.tags.places import square
@@ -82,10 +88,12 @@ def calibrate_hand_eye(config: HandEyeConfig, console: Console) -> None:
         shots = take_shots(recording, config, columns, optics)
     with console.status("calibrating"):
         fit = fit_shots(shots, columns, config, optics)
-    page = _page(config, shots, columns, fit, optics)
     about = {"pose": {"by": "hand-eye", **_about(fit, len(shots.corners))}}
     entries = pose_json(fit.base_from_camera)
     update_cameras(cameras, Changes({config.view: entries}, about={config.view: about}))
+    others = overruled(cameras, config.view)
+    notes = [overruled_note(config.view, others)] if others else []
+    page = _page(config, shots, columns, fit, optics, notes)
     write_calibration(page, path)
     console.print(page.verdict, soft_wrap=True)
     for note in page.notes:
@@ -256,7 +264,12 @@ def _notes(fit: HandEyeFit, poses: np.ndarray) -> list[str]:
 
 
 def _page(
-    config: HandEyeConfig, shots: Shots, columns: GripNumbers, fit: HandEyeFit, optics: Optics
+    config: HandEyeConfig,
+    shots: Shots,
+    columns: GripNumbers,
+    fit: HandEyeFit,
+    optics: Optics,
+    notes: list[str],
 ) -> CalibrationPage:
     poses = poses_of_grip(shots.states, columns, "the state")
     verdict, good = pose_verdict({config.view: fit.spread})
@@ -294,5 +307,5 @@ def _page(
     head = ("quantity", "value", "deviation", "rotation")
     return CalibrationPage(
         f"Hand and eye: {config.view}", subtitle, verdict, good, rows, head,
-        _notes(fit, poses), overlays, figures,
+        notes + _notes(fit, poses), overlays, figures,
     )  # fmt: skip

@@ -11,7 +11,13 @@ from jaxcam.data.recorded.recording import Recording, Sight
 from jaxcam.errors import ConfigError, DatasetError, closest
 from jaxcam.files.paths import absolute
 from jaxcam.interop.cameras.optics import Optics
-from jaxcam.interop.cameras.writing import Changes, check_updatable, pose_json, update_cameras
+from jaxcam.interop.cameras.writing import (
+    Changes,
+    check_updatable,
+    overruled,
+    pose_json,
+    update_cameras,
+)
 from jaxcam.interop.recordings import is_recording, read_recording
 from jaxcam.robot.calibration.figures import residual_figure, space_figure
 from jaxcam.robot.calibration.known import optics_of_view
@@ -26,6 +32,7 @@ from jaxcam.robot.calibration.pose_page import (
     OFF,
     POSE_HEAD,
     Located,
+    overruled_note,
     pose_about,
     pose_overlay,
     pose_rows,
@@ -50,13 +57,17 @@ def calibrate_tags(config: TagsConfig, console: Console) -> None:
     check_updatable(cameras)
     path = page_path(config.out, cameras, "tags", config.view)
     source = absolute(config.source[0])
+    is_dataset = len(config.source) == 1 and is_recording(source)
     with console.status("looking for tags"):
-        if len(config.source) == 1 and is_recording(source):
+        if is_dataset:
             located, notes = _of_recording(source, config, tags, cameras)
         else:
             located, notes = _of_pictures(config, tags, cameras)
+    update_cameras(cameras, _changes(located, everywhere=is_dataset))
+    for one in located:
+        if not one.episode and (others := overruled(cameras, one.view)):
+            notes.append(overruled_note(one.view, others))
     page = _page(located, tags, notes)
-    update_cameras(cameras, _changes(located))
     write_calibration(page, path)
     console.print(page.verdict, soft_wrap=True)
     for note in page.notes:
@@ -182,7 +193,7 @@ def _located(sights: TagSights, tags: Tags, optics: Optics, where: str) -> PoseF
     return fit
 
 
-def _changes(located: Sequence[Located]) -> Changes:
+def _changes(located: Sequence[Located], *, everywhere: bool) -> Changes:
     views, episodes, about = {}, {}, {}
     for one in located:
         entries = pose_json(one.fit.base_from_camera)
@@ -193,7 +204,7 @@ def _changes(located: Sequence[Located]) -> Changes:
         else:
             views[one.view] = entries
             about[one.view] = {"pose": {"by": "tags", **pose_about(one)}}
-    return Changes(views, episodes, about)
+    return Changes(views, episodes, tuple(views) if everywhere else (), about)
 
 
 def _notes(located: Sequence[Located], tags: Tags) -> list[str]:

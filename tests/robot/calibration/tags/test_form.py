@@ -74,6 +74,20 @@ def test_episodes_of_a_dataset_give_a_pose_each_where_the_camera_moved(place, mo
     assert set(content["episodes"]) == {"0", "1", "2"}
 
 
+def test_a_camera_that_stood_still_gets_one_pose(place, monkeypatch):
+    pose = eye(far=0.6)
+    pictures = [drawn_tags([pose], tag_frames(), seed=i) for i in range(3)]
+    root = write_dataset(place / "data", monkeypatch, pictures)
+    old = {"1": {"front": {"base_from_camera": np.eye(4).tolist()}}}
+    content = {"format": 1, "views": {"front": VIEW}, "episodes": old}
+    (place / "cameras.json").write_text(json.dumps(content))
+    assert exit_code("calibrate", "tags", root) == 0
+    recording = read_recording(root, place / "cameras.json")
+    for episode in recording.episodes:
+        assert near(episode.sights["front"].calibration.base_from_camera, pose)
+    assert json.loads((place / "cameras.json").read_text())["episodes"] == {"1": {}}
+
+
 @pytest.mark.parametrize(
     ("argv", "match"),
     [
