@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from jaxcam.errors import DatasetError
 from jaxcam.interop.cameras.optics import Optics
 from jaxcam.rays.rotations import nearest_rotation
-from jaxcam.robot.calibration.fitting import Fitted, fit_pixels
+from jaxcam.robot.calibration.fitting import PIXEL, WEIGHT, Fitted, differences, fit_pixels
 from jaxcam.robot.calibration.projection import moved, pixels_of, placed, pose_of, spread_of
 from jaxcam.robot.calibration.tags.fit import tag_poses
 from jaxcam.robot.calibration.tags.places import square
@@ -99,11 +99,34 @@ def fit_hand_eye(
     return HandEyeFit(
         moved(start[0], fitted.values[:6]),
         moved(start[1], fitted.values[6:]),
-        fitted.covariance,
+        _covariance(
+            differences(lambda x: residuals(start, x), fitted.values), fitted, len(corners)
+        ),
         fitted.residuals.reshape(*shape, 2),
         fitted.used.reshape(shape),
         fitted.rms,
     )
+
+
+def _covariance(slopes: np.ndarray, fitted: Fitted, count: int) -> np.ndarray:
+    """Of both poses, [12, 12], where what a picture's corners have in common is one error.
+
+    A grip's pose that is half a millimetre off moves all four corners: they are not four witnesses.
+    """
+    used = fitted.used.reshape(count, 4, 1)
+    residuals = np.where(used, fitted.residuals.reshape(count, 4, 2), 0)
+    J = np.where(used[..., None], slopes.reshape(count, 4, 2, 12), 0)
+    each = np.maximum(used.sum(1), 1)
+    common = residuals.sum(1) / each
+    pictures = int(used.any((1, 2)).sum())
+    own = float(((residuals - np.where(used, common[:, None], 0)) ** 2).sum())
+    own = max(own / max(6 * pictures, 1), PIXEL**2 / WEIGHT)
+    shared = float((common**2).sum()) / max(2 * pictures - 12, 2)
+    shared = max(shared - own / 4, 0.0)
+    inverse = np.linalg.pinv(np.einsum("nkip,nkiq->pq", J, J), rcond=1e-14, hermitian=True)
+    middle = own * np.einsum("nkip,nkiq->pq", J, J)
+    middle = middle + shared * np.einsum("nip,niq->pq", J.sum(1), J.sum(1))
+    return inverse @ middle @ inverse
 
 
 def turns_of(base_from_grip: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -50,6 +50,18 @@ def test_fifteen_poses_give_camera_and_tag():
     assert fit.rms < 0.15
 
 
+def test_grip_poses_that_are_not_exact_make_the_camera_less_sure():
+    """All corners of a picture share that error."""
+    errors, sure = [], []
+    for seed in range(6):
+        poses, rng = grips(seed=seed), np.random.default_rng(seed)
+        read = np.stack([moved(p, rng.normal(0, [5e-4] * 3 + [2e-3] * 3)) for p in poses])
+        fit = fit_hand_eye(read, corners(poses, seed=seed), SIZE, OPTICS)
+        errors.append(apart(CAMERA, fit.base_from_camera)[0])
+        sure.append(fit.spread[0])
+    assert 0.5 < np.sqrt(np.mean(np.square(errors))) / np.median(sure) < 2
+
+
 def test_pictures_that_show_something_else_do_not_count():
     poses = grips(20)
     shown = corners(poses)
