@@ -19,6 +19,7 @@ NAMES = (
     "report",
     "sweep",
     "check",
+    "calibrate",
     "trial",
     "weights",
     "robomimic",

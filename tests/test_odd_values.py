@@ -10,6 +10,7 @@ import pytest
 from running import exit_code
 
 from jaxcam.__main__ import NAMES
+from jaxcam.config.calibrate import HandEyeConfig, LensConfig, TagsConfig
 from jaxcam.config.fields import check_types, overrides
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
@@ -132,6 +133,15 @@ def test_odd_flags(name, capsys):
         given = HARMLESS.get(name, [])
         if flag not in given:
             ends(capsys, name, *places, *given, flag, value)
+
+
+@pytest.mark.parametrize(
+    ("form", "settings"), [("lens", LensConfig), ("tags", TagsConfig), ("hand-eye", HandEyeConfig)]
+)
+def test_odd_flags_of_forms(form, settings, capsys):
+    tried = ["--" + f.name.replace("_", "-") for f in dataclasses.fields(settings)][1:]
+    for number, value in enumerate(ODD):
+        ends(capsys, "calibrate", form, "none", tried[number % len(tried)], value)
 
 
 @pytest.mark.parametrize(

@@ -5,13 +5,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import cv2
 import numpy as np
 from matplotlib.figure import Figure
 
 from jaxcam.checks.findings import Finding, named
 from jaxcam.data.demos import Demos
-from jaxcam.files.whole import whole, write_atomically
+from jaxcam.files.png import write_png
+from jaxcam.files.whole import write_atomically
 from jaxcam.reports.camera_figures import camera_places
 from jaxcam.reports.html import embedded, render
 from jaxcam.reports.style import BLUE, GREY, save, side_by_side, styled
@@ -63,15 +63,6 @@ def write_page(report: Report, path: Path) -> Path:
     write_atomically(path, content)  # first: by it one knows whose picture is beside it
     if report.overlays is not None:
         write_png(path.with_suffix(".png"), report.overlays)
-    return path
-
-
-def write_png(path: Path, picture: np.ndarray) -> Path:
-    """Writes a picture, uint8 RGB, as small as PNG can."""
-    settings = [cv2.IMWRITE_PNG_COMPRESSION, 9]
-    content = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), settings)[1]
-    with whole(path) as part:
-        part.write_bytes(content.tobytes())
     return path
 
 

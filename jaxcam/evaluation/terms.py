@@ -70,8 +70,8 @@ def names_sent(record: ForeignRecord, width: int) -> Names:
 
     Args:
         record: Of the policy.
-        width: Rollouts at once. A server of ours that draws chance in batches of as many is told
-            which row of which call is asked, and gives what the run itself does.
+        width: Rollouts at once. A server of ours whose batches are as large is told which row of
+            which call is asked, and gives what the run itself does.
 
     Raises:
         ConfigError: Its map names what we have not.
@@ -80,7 +80,7 @@ def names_sent(record: ForeignRecord, width: int) -> Names:
         return names_of_map(record.keys, record.views, PROPRIO_DIM)
     views, metadata = Said.of(record.metadata).views or (), record.metadata
     theirs = views if len(views) == record.views else numbered_views(record.views)
-    alike = metadata.get("draws") is True and metadata.get("width") == width
+    alike = metadata.get("server") == "jaxcam" and metadata.get("width") == width
     return renamed(theirs, *(CHANCE if alike else ()))
 
 

@@ -1,9 +1,9 @@
-"""The page that the doctor writes."""
+"""Pictures in files."""
 
 import cv2
 import numpy as np
 
-from jaxcam.checks.page import write_png
+from jaxcam.files.png import write_png
 
 
 def test_png_keeps_the_colours(tmp_path):

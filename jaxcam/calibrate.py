@@ -1,0 +1,9 @@
+"""`python -m jaxcam.calibrate lens|tags|hand-eye`: Find how cameras see and where they stand."""
+
+from jaxcam.config.calibrate import CalibrateConfig
+from jaxcam.console.command import CommandLine
+
+COMMAND = CommandLine(CalibrateConfig, "jaxcam.robot.calibration.command:main")
+
+if __name__ == "__main__":
+    COMMAND.run()

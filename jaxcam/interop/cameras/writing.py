@@ -1,0 +1,178 @@
+"""Files of calibrations, written and updated: what is in one already stays."""
+
+import datetime
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxcam.errors import ConfigError, JaxcamError
+from jaxcam.files.json import read_json
+from jaxcam.files.locks import exclusive
+from jaxcam.files.whole import whole
+from jaxcam.interop.cameras.files import FORMAT, read_cameras
+from jaxcam.rays.rotations import quaternion_from_matrix
+
+POSES = ("base_from_camera", "world_from_camera", "axes")
+"""Entries of a view's pose: a new one takes the place of all of them."""
+OPTICS = ("K", "size", "pixel_centers", "lens", "distortion")
+"""Likewise of how it sees."""
+
+ViewJson = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Changes:
+    """What a calibration changes in a file."""
+
+    views: Mapping[str, ViewJson] = field(default_factory=dict)
+    """By the view's name, entries of `docs/cameras.schema.json`."""
+    episodes: Mapping[str, Mapping[str, ViewJson]] = field(default_factory=dict)
+    """By an episode's number, then by the view's name."""
+    everywhere: tuple[str, ...] = ()
+    """Views whose new pose was measured in all episodes: poses that single ones had go."""
+    about: Mapping[str, Any] = field(default_factory=dict)
+    """By the view's name, how well it was calibrated; goes into `about`, `calibration`."""
+
+
+def optics_json(
+    K: np.ndarray, size: tuple[int, int], lens: str, distortion: np.ndarray
+) -> ViewJson:
+    """The entries that say how a view sees.
+
+    Args:
+        K: Array [3, 3], its pixels ours.
+        size: Width and height that it is for.
+        lens: `opencv` or `fisheye`.
+        distortion: Coefficients in OpenCV's order.
+    """
+    names = {"fx": K[0, 0], "fy": K[1, 1], "cx": K[0, 2], "cy": K[1, 2]}
+    return {
+        "K": {name: round(float(value), 4) for name, value in names.items()},
+        "size": [*size],
+        "pixel_centers": 0.5,
+        "lens": lens,
+        "distortion": [float(f"{value:.8g}") for value in distortion],
+    }
+
+
+def pose_json(base_from_camera: np.ndarray) -> ViewJson:
+    """The entry that says where a view stood, [4, 4]."""
+    quaternion = np.asarray(quaternion_from_matrix(base_from_camera[:3, :3]))
+    return {
+        "base_from_camera": {
+            "position": [round(float(x), 6) for x in base_from_camera[:3, 3]],
+            "quaternion_wxyz": [round(float(x), 8) for x in quaternion],
+        }
+    }
+
+
+def check_updatable(path: Path) -> None:
+    """Refuses a place for a file of calibrations that cannot be updated.
+
+    Args:
+        path: Where the file is, or is to be.
+
+    Raises:
+        ConfigError: There is something else; it would be lost.
+    """
+    if path.suffix != ".json":
+        raise ConfigError(f"--cameras {path}: expected the name of a file that ends in .json.")
+    if path.exists():
+        read_cameras(path)
+
+
+def update_cameras(path: Path, changes: Changes) -> Path:
+    """Writes a file of calibrations, or changes one: other views and episodes in it stay.
+
+    The new file is read as `--cameras` would be before it takes the old one's place.
+
+    Args:
+        path: Of the file.
+        changes: What becomes different.
+
+    Returns:
+        The path.
+
+    Raises:
+        ConfigError: What is there is no file of calibrations.
+        DatasetError: It cannot be read, or its folder cannot be written to.
+    """
+    with exclusive(path):
+        content: dict[str, Any] = {"format": FORMAT}
+        if path.exists():
+            check_updatable(path)
+            content = read_json(path)
+        views = content.setdefault("views", {})
+        for name, entries in changes.views.items():
+            views[name] = _changed(views.get(name) or {}, entries)
+        for number, own in changes.episodes.items():
+            episode = content.setdefault("episodes", {}).setdefault(number, {})
+            for name, entries in own.items():
+                episode[name] = _changed(episode.get(name) or {}, entries)
+        for own in (e for e in content.get("episodes", {}).values() if e):
+            for name in changes.everywhere:
+                own[name] = {k: v for k, v in own.pop(name, {}).items() if k not in POSES}
+                if not own[name]:
+                    del own[name]
+        if changes.about:
+            content["about"] = _about(content.get("about"), changes.about)
+        with whole(path) as part:
+            part.write_text(_text(content), encoding="utf-8")
+            try:
+                read_cameras(part)
+            except JaxcamError as error:
+                raise ConfigError(str(error).replace(str(part), str(path))) from error
+    return path
+
+
+def overruled(path: Path, view: str) -> list[str]:
+    """Episodes that have a pose of their own for a view, which comes before the view's.
+
+    Args:
+        path: File of calibrations.
+        view: The camera's name.
+    """
+    episodes = read_cameras(path).episodes
+    content = read_json(path).get("episodes", {})
+    return [e for e in episodes if set(content[e].get(view) or {}) & set(POSES)]
+
+
+def _changed(old: ViewJson, new: ViewJson) -> ViewJson:
+    gone = {name for group in (POSES, OPTICS) if set(group) & set(new) for name in group}
+    return {k: v for k, v in old.items() if k not in gone} | new
+
+
+def _about(old: Any, new: Mapping[str, Any]) -> dict[str, Any]:
+    about = dict(old) if isinstance(old, dict) else {} if old is None else {"before": old}
+    calibration = about.get("calibration")
+    calibration = dict(calibration) if isinstance(calibration, dict) else {}
+    date = datetime.date.today().isoformat()
+    for view, entries in new.items():
+        known = calibration.get(view)
+        known = dict(known) if isinstance(known, dict) else {}
+        calibration[view] = known | {k: {"date": date, **v} for k, v in entries.items()}
+    return about | {"calibration": calibration}
+
+
+def _text(content: Any, indent: int = 0) -> str:
+    """JSON in which what fits on a line stands on one."""
+    line = json.dumps(content, ensure_ascii=False)
+    room = 100 - indent
+    if len(line) <= room or not isinstance(content, dict | list) or not content:
+        return line + ("\n" if indent == 0 else "")
+    inner = " " * (indent + 2)
+    if isinstance(content, dict):
+        parts = [
+            f"{inner}{json.dumps(name, ensure_ascii=False)}: {_text(value, indent + 2)}"
+            for name, value in content.items()
+        ]
+        begin, end = "{", "}"
+    else:
+        parts = [f"{inner}{_text(value, indent + 2)}" for value in content]
+        begin, end = "[", "]"
+    text = f"{begin}\n" + ",\n".join(parts) + f"\n{' ' * indent}{end}"
+    return text + ("\n" if indent == 0 else "")

@@ -1,0 +1,1 @@
+"""Calibration: lenses and poses of cameras, from pictures of boards and tags."""

@@ -1,0 +1,44 @@
+"""What a file of calibrations already says of a view: how it sees."""
+
+from pathlib import Path
+
+from jaxcam.errors import ConfigError, closest
+from jaxcam.interop.calibrations import IMAGES
+from jaxcam.interop.cameras.files import CamerasFile, read_cameras
+from jaxcam.interop.cameras.optics import Optics
+
+
+def optics_of_view(cameras: Path, view: str, size: tuple[int, int]) -> Optics:
+    """K and lens of a view, for pictures of a size.
+
+    Args:
+        cameras: File of calibrations.
+        view: The camera's name.
+        size: Width and height of the pictures.
+
+    Raises:
+        ConfigError: The file does not say.
+        CameraError: K is for pictures of another shape.
+        DatasetError: The file cannot be read.
+    """
+    if not cameras.exists():
+        raise ConfigError(f"{cameras}: no such file. {_remedy(view)}")
+    file = read_cameras(cameras)
+    entry = file.of((), (view, IMAGES + view))
+    if entry.optics is None:
+        raise ConfigError(f"{cameras}: {_lacks(file, view)} {_remedy(view)}")
+    K = entry.optics.at(size[1], size[0], f"{cameras}: view '{view}'")
+    return Optics(K, *size, entry.optics.distortion)
+
+
+def _lacks(file: CamerasFile, view: str) -> str:
+    if view in file.views or IMAGES + view in file.views:
+        return f"view '{view}' has no K."
+    return f"no view '{view}'{closest(view, file.views) if file.views else '.'}"
+
+
+def _remedy(view: str) -> str:
+    return (
+        "A pose needs K and the lens first: python -m jaxcam.calibrate lens PICTURES "
+        f"--view {view}, or write them into the file (docs/calibrated-datasets.md)."
+    )

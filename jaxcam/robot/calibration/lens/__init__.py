@@ -1,0 +1,1 @@
+"""Lenses: K and distortion from pictures of a printed board."""

@@ -1,0 +1,136 @@
+"""Pictures to calibrate with, from a folder, from single files or from a video."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+from av.error import FFmpegError
+
+from jaxcam.errors import DatasetError
+from jaxcam.files.paths import absolute, read_bytes
+from jaxcam.interrupts import check_stop
+
+PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+VIDEOS = (".mp4", ".mkv", ".mov", ".avi", ".webm", ".m4v")
+LARGEST = 1 << 28
+"""Bytes of a picture's file."""
+FROM_VIDEO = 240
+"""Pictures of a video that are looked at, evenly spaced."""
+
+
+@dataclass(frozen=True)
+class NamedPicture:
+    """A picture and what to call it."""
+
+    name: str
+    """For messages: its file, and its number in a video."""
+    rgb: np.ndarray = field(repr=False)
+    """Uint8 [H, W, 3]."""
+
+    @property
+    def grey(self) -> np.ndarray:
+        """Uint8 [H, W]."""
+        return cv2.cvtColor(self.rgb, cv2.COLOR_RGB2GRAY)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height."""
+        return self.rgb.shape[1], self.rgb.shape[0]
+
+
+def read_pictures(sources: Sequence[str]) -> Iterator[NamedPicture]:
+    """Pictures of one camera, in order.
+
+    Args:
+        sources: A folder of pictures, pictures, or videos.
+
+    Raises:
+        DatasetError: There is none, one cannot be read, or their sizes differ.
+    """
+    first = None
+    for picture in _all(sources):
+        check_stop()
+        first = first or picture
+        if picture.size != first.size:
+            one, other = ("{}x{}".format(*p.size) for p in (first, picture))
+            raise DatasetError(
+                f"{picture.name}: {other} pixels, but {first.name} has {one}. Pictures of one "
+                "camera have one size: those of two cameras are mixed, or some were turned or "
+                "scaled."
+            )
+        yield picture
+    if first is None:
+        raise DatasetError(f"{', '.join(sources)}: a video without a picture.")
+
+
+def _all(sources: Sequence[str]) -> Iterator[NamedPicture]:
+    for path in _files(sources):
+        if path.suffix.lower() in VIDEOS:
+            yield from _of_video(path)
+        else:
+            yield NamedPicture(path.name, _of_file(path))
+
+
+def _files(sources: Sequence[str]) -> list[Path]:
+    files = []
+    for source in sources:
+        path = absolute(source)
+        if path.is_dir():
+            inside = sorted(p for p in path.iterdir() if p.suffix.lower() in (*PICTURES, *VIDEOS))
+            if not inside:
+                raise DatasetError(
+                    f"{path}: no picture and no video in this folder. Expected files that end in "
+                    f"{', '.join((*PICTURES, *VIDEOS))}; folders inside it are not looked at."
+                )
+            files += inside
+        elif not path.exists():
+            raise DatasetError(f"{path}: no such file or folder.")
+        else:
+            files.append(path)
+    return files
+
+
+def _of_file(path: Path) -> np.ndarray:
+    try:
+        content = np.frombuffer(read_bytes(path, LARGEST), np.uint8)
+    except OSError as error:
+        raise DatasetError(f"{path} cannot be read: {error.strerror}.") from error
+    try:
+        picture = cv2.imdecode(content, cv2.IMREAD_COLOR) if content.size else None
+    except cv2.error:
+        picture = None
+    if picture is None:
+        raise DatasetError(
+            f"{path}: no picture, or damaged. Expected PNG, JPEG or the like; take it out, or "
+            "save it anew."
+        )
+    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+
+
+def _of_video(path: Path) -> Iterator[NamedPicture]:
+    """At most `FROM_VIDEO` pictures of a video, evenly spaced."""
+    try:
+        with av.open(str(path)) as container:
+            if not container.streams.video:
+                raise DatasetError(f"{path}: no video in it.")
+            stream = container.streams.video[0]
+            stream.thread_type = "AUTO"
+            count = stream.frames or _count(path)
+            stride = max(1, -(-count // FROM_VIDEO))
+            for number, picture in enumerate(container.decode(stream)):
+                if number % stride == 0:
+                    yield NamedPicture(
+                        f"{path.name}, picture {number}", picture.to_ndarray(format="rgb24")
+                    )
+    except (FFmpegError, OSError) as error:
+        raise DatasetError(
+            f"{path}: a video that cannot be read, or damaged ({error.strerror})."
+        ) from error
+
+
+def _count(path: Path) -> int:
+    with av.open(str(path)) as container:
+        return sum(1 for packet in container.demux(video=0) if packet.size)

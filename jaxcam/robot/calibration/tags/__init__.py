@@ -1,0 +1,1 @@
+"""Tags at known places: where cameras stand, by picture or by episode."""
