@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxcam.console.words import plain_line
 from jaxcam.errors import PortError
-from jaxcam.evaluation.mapping import Names, observation_of, sent
+from jaxcam.evaluation.mapping import Names, observation_sent, sent
 from jaxcam.evaluation.sources import FailedError, PolicyFunction, PolicySource, Talk, answered
 from jaxcam.sim.actions import BEYOND
 
@@ -67,7 +67,7 @@ class Asking:
         """
         asked = np.flatnonzero(active).tolist()
         questions = [
-            sent(self.names, observation_of(obs, int(call), i, self.prompt)) for i in asked
+            sent(self.names, observation_sent(obs, int(call), i, self.prompt)) for i in asked
         ]
         answers = self._answers(asked, questions)
         self._check_not_all_refused(call, answers)

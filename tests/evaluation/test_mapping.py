@@ -7,7 +7,7 @@ from jaxcam.config.foreign import ObsMap
 from jaxcam.errors import ConfigError
 from jaxcam.evaluation.mapping import (
     names_of_map,
-    observation_of,
+    observation_sent,
     read_map,
     renamed,
     sent,
@@ -31,7 +31,7 @@ def batch(*steps):
 
 def test_all_is_sent_under_our_names():
     obs = batch()
-    message = sent(renamed(["view_0", "view_1"]), observation_of(obs, 3, 1, "Lift"))
+    message = sent(renamed(["view_0", "view_1"]), observation_sent(obs, 3, 1, "Lift"))
     assert list(message) == [
         "observation.images.view_0", "camera.view_0.intrinsics", "camera.view_0.base_from_camera",
         "observation.images.view_1", "camera.view_1.intrinsics", "camera.view_1.base_from_camera",
@@ -44,7 +44,7 @@ def test_all_is_sent_under_our_names():
 
 
 def test_a_servers_own_names_of_views_are_used_and_chance_is_sent_where_it_is_asked_for():
-    ours = observation_of(batch(), 3, 1, "Lift")
+    ours = observation_sent(batch(), 3, 1, "Lift")
     message = sent(renamed(["front", "wrist"], "call", "row"), ours)
     assert message["observation.images.wrist"] is ours["observation.images.view_1"]
     assert (message["call"], message["row"]) == (3, 1)
@@ -52,7 +52,7 @@ def test_a_servers_own_names_of_views_are_used_and_chance_is_sent_where_it_is_as
 
 def test_several_observations_are_stacked_the_oldest_first():
     obs = batch(3)
-    ours = observation_of(obs, 0, 0, "")
+    ours = observation_sent(obs, 0, 0, "")
     image = ours["observation.images.view_1"]
     assert image.shape == (3, SIDE, SIDE, 3)
     np.testing.assert_array_equal(image, obs["image"][0, :, 1])
@@ -78,7 +78,7 @@ answer: chunk
     wanted = read_map(str(file))
     assert (wanted.resolution, wanted.action_space, wanted.execute) == ("96x128", "joint_delta", 8)
     obs = batch()
-    ours = observation_of(obs, 0, 0, "Lift")
+    ours = observation_sent(obs, 0, 0, "Lift")
     message = sent(names_of_map(wanted.keys, VIEWS, 11), ours)
     state = obs["proprio"][0]
     assert sorted(message) == sorted(wanted.keys)

@@ -95,7 +95,7 @@ class OverTasks:
 
 
 @dataclass(frozen=True)
-class Board:
+class BoardOfRuns:
     """All settings of one task, scene and number of cameras, the best one first.
 
     Attributes:
@@ -109,7 +109,7 @@ class Board:
     lines: tuple[Line, ...]
 
 
-def boards_of(packs: Sequence[Pack], split: str) -> list[Board]:
+def boards_of(packs: Sequence[Pack], split: str) -> list[BoardOfRuns]:
     """The boards of packs, the paper's tasks first.
 
     Args:
@@ -132,7 +132,7 @@ def boards_of(packs: Sequence[Pack], split: str) -> list[Board]:
     return [_board(*kind, kinds[kind]) for kind in order]
 
 
-def over_tasks(boards: Sequence[Board]) -> list[OverTasks]:
+def over_tasks(boards: Sequence[BoardOfRuns]) -> list[OverTasks]:
     """The policies that stand on several boards, in order of first appearance.
 
     Args:
@@ -158,7 +158,9 @@ def pack_names(packs: Sequence[Pack]) -> list[str]:
     return [m.name if count[m.name] == 1 else f"{m.name} [{m.digest[:8]}]" for m in manifests]
 
 
-def _board(task: str, scene: str, views: int | None, arms: Sequence[tuple[Arm, str]]) -> Board:
+def _board(
+    task: str, scene: str, views: int | None, arms: Sequence[tuple[Arm, str]]
+) -> BoardOfRuns:
     if len(arms) > MOST:
         raise ConfigError(
             f"There are {len(arms)} settings of {task}, {scene}, but a page has {MOST} at most. "
@@ -187,7 +189,7 @@ def _board(task: str, scene: str, views: int | None, arms: Sequence[tuple[Arm, s
         )
     cameras = [] if views == usual_views(task) else [f"{views} cameras"]
     title = ", ".join([paper.task_title(task), f"{scene} scene", *cameras])
-    return Board(paper.task_title(task), title, tuple(lines))
+    return BoardOfRuns(paper.task_title(task), title, tuple(lines))
 
 
 def pose_words(arm: Arm) -> str:

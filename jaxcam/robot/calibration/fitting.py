@@ -51,13 +51,13 @@ def fit_pixels(
     Args:
         residuals: Of the unknowns [P], the pixels' residuals [N, 2].
         start: Where to begin, [P].
-        jacobian: Of the unknowns, the residuals' derivatives [N, 2, P]; by differences when None.
+        jacobian: Of the unknowns, the residuals' derivatives [N, 2, P]; by central differences when None.
         prior: Standard deviations of the unknowns about `start` before anything was seen, [P];
             infinite where nothing is known.
     """
     prior = np.full(len(start), np.inf) if prior is None else prior
     pull = np.where(np.isfinite(prior), PIXEL / prior, 0)
-    slopes = jacobian or (lambda x: differences(residuals, x))
+    slopes = jacobian or (lambda x: numeric_jacobian(residuals, x))
     problem = _Problem(residuals, slopes, np.asarray(start, float), pull)
     count = len(residuals(start))
     x = _descend(problem, start, np.ones(count, bool), SOFT)
@@ -129,7 +129,7 @@ def _descend(problem: _Problem, x: np.ndarray, used: np.ndarray, soft: float) ->
     return x
 
 
-def differences(residuals: Callable[[np.ndarray], np.ndarray], x: np.ndarray) -> np.ndarray:
+def numeric_jacobian(residuals: Callable[[np.ndarray], np.ndarray], x: np.ndarray) -> np.ndarray:
     """Derivatives by central differences, [N, 2, P]; unknowns are metres, radians and the like."""
     steps = 1e-6 * np.eye(len(x))
     return np.stack([(residuals(x + s) - residuals(x - s)) / 2e-6 for s in steps], -1)

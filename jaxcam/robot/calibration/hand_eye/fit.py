@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from jaxcam.errors import DatasetError
 from jaxcam.interop.cameras.optics import Optics
 from jaxcam.rays.rotations import nearest_rotation
-from jaxcam.robot.calibration.fitting import PIXEL, WEIGHT, Fitted, differences, fit_pixels
+from jaxcam.robot.calibration.fitting import PIXEL, WEIGHT, Fitted, fit_pixels, numeric_jacobian
 from jaxcam.robot.calibration.projection import moved, pixels_of, placed, pose_of, spread_of
 from jaxcam.robot.calibration.tags.fit import tag_poses
 from jaxcam.robot.calibration.tags.places import square
@@ -100,7 +100,7 @@ def fit_hand_eye(
         moved(start[0], fitted.values[:6]),
         moved(start[1], fitted.values[6:]),
         _covariance(
-            differences(lambda x: residuals(start, x), fitted.values), fitted, len(corners)
+            numeric_jacobian(lambda x: residuals(start, x), fitted.values), fitted, len(corners)
         ),
         fitted.residuals.reshape(*shape, 2),
         fitted.used.reshape(shape),
