@@ -51,7 +51,8 @@ def fit_pixels(
     Args:
         residuals: Of the unknowns [P], the pixels' residuals [N, 2].
         start: Where to begin, [P].
-        jacobian: Of the unknowns, the residuals' derivatives [N, 2, P]; by central differences when None.
+        jacobian: Of the unknowns, the residuals' derivatives [N, 2, P]; by central differences when
+            None.
         prior: Standard deviations of the unknowns about `start` before anything was seen, [P];
             infinite where nothing is known.
     """
