@@ -26,7 +26,7 @@ _PART = re.compile(r"([^\[\]]+)(?:\[(\d{1,6}):(\d{1,6})\])?")
 
 
 @dataclass(frozen=True)
-class EntryPart:
+class Excerpt:
     """An entry of our observation, or numbers of it.
 
     Attributes:
@@ -43,7 +43,7 @@ class EntryPart:
         return value if self.span is None else value[..., slice(*self.span)]
 
 
-Names = Mapping[str, tuple[EntryPart, ...]]
+Names = Mapping[str, tuple[Excerpt, ...]]
 """Their names, and of which parts of ours each is made."""
 
 
@@ -122,13 +122,13 @@ def _several(theirs: str, ours: Any) -> list[str]:
     return several
 
 
-def _part(theirs: str, text: str, known: Sequence[str], state: int) -> EntryPart:
+def _part(theirs: str, text: str, known: Sequence[str], state: int) -> Excerpt:
     match = _PART.fullmatch(text.replace("/", "."))
     name = match[1] if match else text
     if match is None or name not in known:
         raise ConfigError(f"keys, {theirs}: we have no {text!r:.80}{closest(name, known)}.")
     if match[2] is None:
-        return EntryPart(name)
+        return Excerpt(name)
     span = int(match[2]), int(match[3])
     if name != STATE:
         raise ConfigError(f"keys, {theirs}: only {STATE} has parts, got {text!r}.")
@@ -137,7 +137,7 @@ def _part(theirs: str, text: str, known: Sequence[str], state: int) -> EntryPart
             f"keys, {theirs}: {STATE} has the numbers 0 to {state - 1}, as [0:{state}]; got "
             f"{text!r}."
         )
-    return EntryPart(name, span)
+    return Excerpt(name, span)
 
 
 def renamed(views: Sequence[str], *more: str) -> Names:
@@ -149,7 +149,7 @@ def renamed(views: Sequence[str], *more: str) -> Names:
     """
     theirs = [*our_names(views), *more]
     ours = [*our_names(numbered_views(len(views))), *more]
-    return {there: (EntryPart(here),) for there, here in zip(theirs, ours, strict=True)}
+    return {there: (Excerpt(here),) for there, here in zip(theirs, ours, strict=True)}
 
 
 def observation_sent(
