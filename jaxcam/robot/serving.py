@@ -130,7 +130,7 @@ class Service:
             "image_size": [spec.height, spec.width],
             "state_names": list(self.interface.state_names),
             "action_names": list(self.interface.action_names),
-            "action_space": config.action_space,
+            "action_space": _space(config),
             "rotations": config.rotations,
             "rate": self.interface.rate,
             "chunk": 1 if self.ensemble else ahead,
@@ -144,6 +144,12 @@ class Service:
             "controls": list(CONTROLS),
             "conventions": CONVENTIONS,
         }
+
+
+def _space(config: TrainConfig) -> str:
+    """What the run's actions are; of a recorded dataset's own, what is known of those."""
+    known = config.action_space == "native" and config.action_is != "unknown"
+    return config.action_is if known else config.action_space
 
 
 def key_of(settings: ServeConfig) -> str:

@@ -72,6 +72,9 @@ def test_a_run_of_a_recorded_dataset_has_the_datasets_names(tmp_path, monkeypatc
     older = opened(run)
     assert older.metadata()["views"] == ["view_0", "view_1"]
     assert older.metadata()["rate"] is None
+    assert older.metadata()["action_space"] == "native"
+    known = replace(older, config=replace(older.config, action_is="eef_delta"))
+    assert known.metadata()["action_space"] == "eef_delta"
     write_interface(run, CUPS)
     service = opened(run)
     about = service.metadata()
