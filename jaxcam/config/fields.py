@@ -81,7 +81,12 @@ def as_record(kind: type[C], values: Any, what: str = "configuration") -> C:
         for name, value in values.items()
         if isinstance(value, list) and list not in _kinds(hints[name])
     }
-    values = values | tuples
+    records = {
+        name: as_record(hints[name], value, what)
+        for name, value in values.items()
+        if dataclasses.is_dataclass(hints[name]) and isinstance(value, dict)
+    }
+    values = values | tuples | records
     for name, value in values.items():  # before the record's own checks compute with them
         check_value(where, name, value, hints[name])
     return kind(**values)
