@@ -154,6 +154,11 @@ def _poses(recording: Recording, joints: bool, grip: Sequence[int]) -> _Poses | 
             "rotations must be three numbers behind the position, a rotation vector or Euler "
             f"angles (x, y, z about fixed axes), and there is {four[0]!r}"
         )
+    if grippers := [name for name in names[:6] if opens_gripper(name)]:
+        return (
+            "a position and a rotation are the first six numbers of an action, and one of those "
+            f"is {grippers[0]!r}"
+        )
     turned = _rotations(recording, grip)
     state = [name.lower() for name in recording.state_names]
     form = (_form(names[3:6]), _form([state[i] for i in turned]))

@@ -117,6 +117,11 @@ def test_where_nobody_says_what_was_measured_the_first_step_is_none(recording):
         (joints(), ("joint_abs", "eef_delta"), "the arm's own lengths"),
         (grips(), ("eef_abs", "eef_delta_componentwise"), "for simulated tasks"),
         (
+            replace(grips(), action_names=("x", "y", "z", "roll", "pitch", "gripper", "d")),
+            ("eef_abs", "eef_delta"),
+            "one of those is 'gripper'",
+        ),
+        (
             replace(grips(), action_names=("x", "y", "z", "qx", "qy", "qz", "qw")),
             ("eef_abs", "eef_delta"),
             "rotations must be three numbers",
