@@ -183,7 +183,9 @@ def _dataset(folder: Path, config: TrainConfig, checkpoints: Verified) -> Findin
         fingerprint = _fingerprint(path, folder, config)
     except JaxcamError as error:
         return bad(what, got=str(error), where=str(path))
-    trained = {str(side["data"]).split("-")[0] for side in checkpoints.sides.values()}
+    # Behind a dataset's own fingerprint stands what it was turned into; that may have dashes, too.
+    parts = 2 if config.task == RECORDED else -1
+    trained = {str(side["data"]).rsplit("-", parts)[0] for side in checkpoints.sides.values()}
     if not trained or trained == {fingerprint}:
         return good(what, got=f"content {fingerprint}", where=str(path))
     return bad(

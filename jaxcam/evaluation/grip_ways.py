@@ -52,13 +52,16 @@ def grip_ways(
     for i, (demo, step) in enumerate(zip(demos, t, strict=True)):
         last = min(step + chunks.shape[1], dataset.lengths[demo] - 1)
         recorded = dataset.proprio[demo, step : last + 1][:, list(grip)]
-        newest = {k: v[i] if spec.obs_steps == 1 else v[i, -1] for k, v in observed.items()}
-        picture = newest["image"][0]
+        sight = {  # through the first camera, at the newest of what is observed
+            name: (observed[name][i] if spec.obs_steps == 1 else observed[name][i, -1])[0]
+            for name in ("image", "K", "base_from_camera", "distortion")
+            if name in observed
+        }
+        picture = sight["image"]
         height, width = picture.shape[:2]
         camera = Camera(
-            newest["K"][0], newest["base_from_camera"][0], height, width,
-            newest["distortion"][0] if "distortion" in newest else None,
-        )  # fmt: skip
+            sight["K"], sight["base_from_camera"], height, width, sight.get("distortion")
+        )
         leads = _targets(chunks[i, :, :3], recorded[0], meaning)
         predicted = None if leads is None else _pixels(camera, np.stack([recorded[0], *leads]))
         ways.append(GripWay(picture, _pixels(camera, recorded), predicted, parts.all[demo].group))

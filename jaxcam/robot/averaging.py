@@ -4,7 +4,7 @@ import numpy as np
 
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
-from jaxcam.sim.actions import averageable, averaged, is_absolute, space_of
+from jaxcam.sim.actions import POSE, averageable, averaged, is_absolute, is_joint, space_of
 from jaxcam.sim.ensemble import ensemble
 
 
@@ -58,9 +58,14 @@ class Averaging:
             chunk: What is predicted from now on [T, A].
         """
         chunk = chunk[None].astype(np.float64)
-        numbers = averageable(self._space, chunk[..., :-1], chunk[..., -1])
+        # What is no pose, the gripper or another arm, is averaged number by number.
+        count = chunk.shape[-1] if is_joint(self._space) else len(POSE)
+        pose, others = chunk[..., :count], chunk[..., count:]
+        numbers = averageable(self._space, pose, np.zeros(pose.shape[:-1]))
+        numbers = np.concatenate([others, numbers], -1)
         mean = self._mean if self._call else np.zeros_like(numbers)
         now, self._mean = ensemble(mean, numbers, np.asarray(self._call), self._rate)
         self._call += 1
-        targets, gripper = averaged(self._space, np.asarray(now)[:, None])
-        return np.concatenate([targets[0], gripper[0][:, None]], -1).astype(np.float32)
+        others, numbers = np.split(np.asarray(now)[:, None], [others.shape[-1]], -1)
+        targets, _ = averaged(self._space, numbers)
+        return np.concatenate([targets[0], others[0]], -1).astype(np.float32)

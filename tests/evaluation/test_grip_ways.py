@@ -1,5 +1,7 @@
 """Ways of the grip in pictures: recorded ones, and where actions lead."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -18,17 +20,20 @@ SIZE = (24, 32)
 GRIP = (0, 1, 2)
 
 
-def ways(folder, meaning, act, held_out=HeldOut(episodes=(1,)), offset=0.0):  # noqa: B008
-    """Ways of a robot that is told to stay, its base off from the commands' by `offset` (m)."""
+def ways(folder, meaning, act, held_out=HeldOut(episodes=(1,)), offset=0.0, obs_steps=1):  # noqa: B008
+    """Ways of a robot that is told to stay, its base off from the commands' by `offset` (m).
+
+    One of two things is asked of it.
+    """
     recording = robots.recording(folder)
     for episode in recording.episodes:
         episode.action[:, :3] = episode.state[:, :3] + offset
     parts = parts_of(recording, held_out, 1)
     pictures = load_recorded_pictures(recording, parts, SIZE, folder)
     data = make_recorded(recording, parts, pictures, Meaning())
-    policy = Policy(
-        lambda key: {}, lambda *_: None, act, None, PolicySpec(5, 5, 1, *SIZE, chunk=3), 3
-    )
+    data = replace(data, instruction=np.ones(len(parts.all), np.int32))
+    spec = PolicySpec(5, 5, 1, *SIZE, chunk=3, obs_steps=obs_steps)
+    policy = Policy(lambda key: {}, lambda *_: None, act, None, spec, 3)
     return recording, grip_ways(policy, {}, data, parts, GRIP, meaning)
 
 
@@ -66,6 +71,13 @@ def test_actions_lead_from_where_the_grip_is(tmp_path, meaning):
 def test_targets_in_another_frame_than_the_state_are_not_drawn(tmp_path):
     _, shown = ways(tmp_path, "eef_abs", still, offset=0.2)
     assert all(way.predicted is None for way in shown)
+
+
+def test_of_several_observations_the_newest_is_drawn(tmp_path):
+    one, two = (ways(tmp_path, "unknown", still, obs_steps=steps)[1] for steps in (1, 2))
+    for way, other in zip(one, two, strict=True):
+        np.testing.assert_array_equal(way.picture, other.picture)
+        np.testing.assert_array_equal(way.recorded, other.recorded)
 
 
 def test_without_held_out_episodes_there_is_nothing(tmp_path):

@@ -43,11 +43,12 @@ def settings(folder, **changes):
 
 
 def test_a_run_is_trained_resumed_and_reported(folder, monkeypatch):
-    config = settings(folder, hold_out_view=("wrist",), save_every=2, eval_every=2)
+    spaces = {"action_is": "joint_abs", "action_space": "joint_delta"}
+    config = settings(folder, hold_out_view=("wrist",), save_every=2, eval_every=2, **spaces)
     assert train(config) == 0
     run = folder[0].parent / "run"
     stored = read_config(run)
-    assert (stored.task, stored.action_space) == ("recorded", "native")
+    assert (stored.task, stored.action_space) == ("recorded", "joint_delta")
     assert (stored.demos, stored.validation, stored.views) == (3, 1, 2)
     assert stored.resolution == "24x32"
     recording = folder[1]["recording"]

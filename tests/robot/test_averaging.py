@@ -39,6 +39,16 @@ def test_rotations_are_averaged_as_rotations():
     np.testing.assert_allclose(turned, np.diag([-1, -1, 1]), atol=0.01)
 
 
+@pytest.mark.parametrize("others", [0, 2])
+def test_numbers_behind_a_grip_pose_are_averaged_one_by_one(others):
+    averaging = Averaging("eef_abs", 0.0)
+    chunks = np.random.default_rng(0).normal(size=(2, 3, 6 + others)).astype(np.float32)
+    chunks[..., 3:6] = 0.5
+    averaging(chunks[0])
+    [action] = averaging(chunks[1])
+    np.testing.assert_allclose(action, (chunks[0, 1] + chunks[1, 0]) / 2, atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("settings", "words"),
     [

@@ -25,6 +25,7 @@ NEAR = 0.5
 """Deviations of what is felt within which most commands are that say where to be."""
 _Form = Literal["rotation vector", "Euler angles"]
 _EULER = re.compile(r"roll|pitch|yaw|euler")
+_AXIS = re.compile(r"(?:^|[._ ])(?:pos(?:ition)?[._ ]?)?([xyz])$")
 _FOUR = re.compile(r"quat|^q[wxyz]$|[._]q[wxyz]$|rot6d")
 
 
@@ -57,8 +58,11 @@ def named_meaning(recording: Recording) -> ActionMeaning:
     apart = np.concatenate([e.action[:, commanded] for e in recording.episodes]) - felt
     if (np.median(np.abs(apart), 0) > NEAR * np.maximum(felt.std(0), 1e-6)).any():
         return "unknown"
-    grip = meaning_of(recording).grip
-    return "eef_abs" if grip is not None and tuple(columns[:3]) == grip else "joint_abs"
+    axes = {match[1] for name in names if (match := _AXIS.search(name.lower()))}
+    if axes != set("xyz"):
+        return "joint_abs"
+    grip, first = meaning_of(recording).grip, commanded[:3] == [0, 1, 2]
+    return "eef_abs" if first and tuple(columns[:3]) == grip else "unknown"
 
 
 def as_learned(recording: Recording, config: TrainConfig) -> Recording:
@@ -86,13 +90,14 @@ def in_space(
     Args:
         recording: The dataset.
         meaning: What its actions are.
-        wanted: What they are to become; "native" leaves them alone.
+        wanted: What they are to become; "native" leaves them alone. The space that they are in
+            already makes Euler angles rotation vectors.
         grip: Columns of the state that are the grip's position.
 
     Raises:
         ConfigError: They cannot become that, by what is known of them.
     """
-    if wanted in ("native", meaning):
+    if wanted == "native" or (wanted == meaning and is_joint(meaning)):
         return recording
     why = _obstacle(meaning, wanted)
     poses = None if why else _poses(recording, is_joint(meaning), grip)
@@ -102,8 +107,10 @@ def in_space(
         raise ConfigError(
             f"--action-space {wanted}: {why}. Leave it out to learn them as they are."
         )
+    if wanted == meaning and poses.form[0] == "rotation vector":
+        return recording
     starts = _starts(recording, poses, meaning)
-    if starts is None and not is_absolute(meaning):
+    if starts is None and wanted != meaning and not is_absolute(meaning):
         raise ConfigError(
             f"--action-space {wanted}: actions that say how far to go lead somewhere only from "
             f"where the {'joints' if is_joint(meaning) else 'grip'} first stood, position and "
@@ -153,6 +160,11 @@ def _poses(recording: Recording, joints: bool, grip: Sequence[int]) -> _Poses | 
         return (
             "rotations must be three numbers behind the position, a rotation vector or Euler "
             f"angles (x, y, z about fixed axes), and there is {four[0]!r}"
+        )
+    if grippers := [name for name in names[:6] if opens_gripper(name)]:
+        return (
+            "a position and a rotation are the first six numbers of an action, and one of those "
+            f"is {grippers[0]!r}"
         )
     turned = _rotations(recording, grip)
     state = [name.lower() for name in recording.state_names]

@@ -49,11 +49,12 @@ def with_prompts(config: SmolVlaConfig, prompts: Sequence[str]) -> SmolVlaConfig
         ConfigError: A prompt cannot be turned into tokens, see `tokenize`, or there are several and
             tokens of one.
     """
-    if config.tokens and len(prompts) > 1:
+    if config.tokens and len(prompts) > 1 and not config.prompt:
         raise ConfigError(
             f"The dataset has {len(prompts)} instructions ({prompts[0]!r}, {prompts[1]!r} ...), "
-            "and the settings have the tokens of one. Leave tokens out and give the tokenizer, "
-            "--model tokenizer=path/to/tokenizer.json; with --model prompt=... all are one."
+            "and the settings, or their preset, have the tokens of one. Give a tokenizer instead, "
+            "--model 'tokens=()' tokenizer=path/to/tokenizer.json; with --model prompt=... all are "
+            "one."
         )
     if config.tokens or not config.tokenizer:
         return config

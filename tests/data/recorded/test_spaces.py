@@ -117,6 +117,11 @@ def test_where_nobody_says_what_was_measured_the_first_step_is_none(recording):
         (joints(), ("joint_abs", "eef_delta"), "the arm's own lengths"),
         (grips(), ("eef_abs", "eef_delta_componentwise"), "for simulated tasks"),
         (
+            replace(grips(), action_names=("x", "y", "z", "roll", "pitch", "gripper", "d")),
+            ("eef_abs", "eef_delta"),
+            "one of those is 'gripper'",
+        ),
+        (
             replace(grips(), action_names=("x", "y", "z", "qx", "qy", "qz", "qw")),
             ("eef_abs", "eef_delta"),
             "rotations must be three numbers",
@@ -138,6 +143,26 @@ def test_actions_that_are_near_what_is_felt_by_the_same_name_say_where_to_be():
     poses = replace(grips(), action_names=names)
     assert named_meaning(poses) == "eef_abs"
     assert named_meaning(in_space(poses, "eef_abs", "eef_delta", (0, 1, 2))) == "unknown"
+
+
+def test_places_are_no_joints():
+    poses, names = grips(), (*POSE[:6], "gripper")
+    for which in (names, (*(f"tool.{name}" for name in names[:6]), "gripper")):
+        named = replace(poses, action_names=which, state_names=which[:6])
+        assert named_meaning(named) == "unknown"
+
+
+@pytest.mark.parametrize("kind", ["eef_abs", "eef_delta"])
+def test_in_the_space_that_they_are_in_rotations_become_vectors(kind):
+    turned = grips("euler", ("a", "b", "c"))
+    vectors = in_space(turned, kind, kind)
+    assert (vectors.action_names, vectors.action_is) == (POSE, kind)
+    assert vectors.fingerprint != turned.fingerprint
+    for old, new in zip(turned.episodes, vectors.episodes, strict=True):
+        wanted = Rotation.from_euler("xyz", old.action[:, 3:6]).as_matrix()
+        np.testing.assert_allclose(turn(new.action).as_matrix(), wanted, atol=1e-5)
+        np.testing.assert_allclose(new.action[:, [0, 1, 2, 6]], old.action[:, [0, 1, 2, 6]],
+                                   atol=1e-6)  # fmt: skip
 
 
 def test_a_run_learns_what_its_settings_ask_for():

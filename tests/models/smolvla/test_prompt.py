@@ -1,11 +1,13 @@
 """Prompts: from words to tokens."""
 
+from dataclasses import replace
+
 import pytest
 
 from jaxcam.config.names import TaskName, names_of
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
-from jaxcam.models.smolvla.config import SmolVlaConfig
+from jaxcam.models.smolvla.config import SMOLVLA_PRESETS, SmolVlaConfig
 from jaxcam.models.smolvla.prompt import tokenize, with_prompts
 from jaxcam.pipeline.sources import source_of
 from jaxcam.pipeline.train import policy_of
@@ -71,3 +73,11 @@ def test_several_prompts_are_told_by_number(tokenizer):
     assert (config.tokens, *config.other_tokens) == tuple(tokenize(p, file) for p in prompts)
     one = with_prompts(SmolVlaConfig(tokenizer=file, prompt="Move the can"), prompts)
     assert (one.prompt, one.other_prompts, one.other_tokens) == ("Move the can", (), ())
+
+
+def test_tokens_of_one_prompt_do_for_several_only_where_all_are_one():
+    prompts = ("Lift the cube", "Roll the ball to the target")
+    with pytest.raises(ConfigError, match=r"2 instructions .*'tokens=\(\)"):
+        with_prompts(SMOLVLA_PRESETS["tiny"], prompts)
+    one = replace(SMOLVLA_PRESETS["tiny"], prompt="Lift the cube")
+    assert with_prompts(one, prompts) is one
