@@ -88,7 +88,10 @@ class ForeignRecord:
     def settings(self) -> Settings:
         """What makes it comparable to others, as `jaxcam.runs.identity.identity` of a run."""
         names = ("task", "scene", "policy", "conditioning", "views", "resolution", "action_space")
-        return {"preset": None, **{name: getattr(self, name) for name in names}}
+        settings = {"preset": None, **{name: getattr(self, name) for name in names}}
+        usual = {"rotations": "nominal", "execute": None, "observation_steps": 1}
+        unusual = {k: v for k in usual if (v := getattr(self, k)) != usual[k]}
+        return settings | unusual
 
     def __post_init__(self) -> None:
         check_types(self)
