@@ -142,7 +142,8 @@ def _texts(value: Any) -> tuple[str, ...] | None:
     if not isinstance(value, list):
         return None
     texts = tuple(value)
-    return texts if texts and all(isinstance(text, str) for text in texts) else None
+    good = all(isinstance(text, str) for text in texts) and len({*texts}) == len(texts)
+    return texts if texts and good else None
 
 
 def _size(value: Any) -> int | str | None:
