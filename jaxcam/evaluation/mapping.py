@@ -55,7 +55,8 @@ def read_map(file: str) -> ObsMap:
         file: YAML, see `ObsMap`.
 
     Raises:
-        ConfigError: It is not there, is no YAML, names something twice, or has what a map has not; with the closest name.
+        ConfigError: It is not there, is no YAML, names something twice, or has what a map has not;
+            with the closest name.
     """
     path = home(file)
     content = read_yaml(path)
