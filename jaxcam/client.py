@@ -222,7 +222,7 @@ class Client:
                 self._connection = connection
                 first = connection.recv(self._timeout)
                 break
-            except (InvalidURI, InvalidHandshake) as error:
+            except (InvalidURI, InvalidHandshake, ValueError) as error:  # a port of 99999
                 raise NoServerError(f"{self.url} is no policy server for us: {error}.") from error
             except (OSError, ConnectionClosed) as error:  # a time-out is one, too
                 self.close()

@@ -169,7 +169,10 @@ def test_a_server_of_another_kind_is_refused(first):
         Client(url)
 
 
-@pytest.mark.parametrize("url", ["http://127.0.0.1:1", "nonsense", "ws://127.0.0.1:1"])
+@pytest.mark.parametrize(
+    "url",
+    ["http://127.0.0.1:1", "nonsense", "ws://127.0.0.1:1", "ws://localhost:99999", "ws://[::1"],
+)
 def test_an_address_without_a_server_is_told(url):
     with pytest.raises(PortError, match=url):
         Client(url, patience=0.0)
