@@ -155,7 +155,8 @@ class Client:
 
     def reset(self) -> None:
         """Tell the server that an episode begins, if it is one that wants to know."""
-        if "episode_start" in (self.metadata.get("controls") or ()):
+        controls = self.metadata.get("controls")
+        if isinstance(controls, list) and "episode_start" in controls:
             self._ask(to_wire({"__ctrl__": "episode_start"}))
 
     def close(self) -> None:
@@ -221,7 +222,7 @@ class Client:
                 self._connection = connection
                 first = connection.recv(self._timeout)
                 break
-            except (InvalidURI, InvalidHandshake) as error:
+            except (InvalidURI, InvalidHandshake, ValueError) as error:  # a port of 99999
                 raise NoServerError(f"{self.url} is no policy server for us: {error}.") from error
             except (OSError, ConnectionClosed) as error:  # a time-out is one, too
                 self.close()
@@ -231,7 +232,10 @@ class Client:
                         "Start it, or check the address."
                     ) from error
                 time.sleep(0.2)
-        metadata = from_wire(first) if isinstance(first, bytes) else None
+        try:
+            metadata = from_wire(first) if isinstance(first, bytes) else None
+        except PortError:
+            metadata = None
         if not isinstance(metadata, dict):
             self.close()
             raise NoServerError(

@@ -156,9 +156,11 @@ def test_only_servers_that_know_of_episodes_hear_of_them():
     with socket_server(echo) as url, Client(url) as client:
         client.reset()
         assert client.infer({"observation.state": np.ones(1)})["actions"] == 1
+        client.metadata = {"controls": 5}
+        client.reset()
 
 
-@pytest.mark.parametrize("first", ["hello", to_wire([1])])
+@pytest.mark.parametrize("first", ["hello", to_wire([1]), b"\xff rubbish"])
 def test_a_server_of_another_kind_is_refused(first):
     with (
         socket_server(lambda connection: connection.send(first)) as url,
@@ -167,7 +169,10 @@ def test_a_server_of_another_kind_is_refused(first):
         Client(url)
 
 
-@pytest.mark.parametrize("url", ["http://127.0.0.1:1", "nonsense", "ws://127.0.0.1:1"])
+@pytest.mark.parametrize(
+    "url",
+    ["http://127.0.0.1:1", "nonsense", "ws://127.0.0.1:1", "ws://localhost:99999", "ws://[::1"],
+)
 def test_an_address_without_a_server_is_told(url):
     with pytest.raises(PortError, match=url):
         Client(url, patience=0.0)

@@ -17,6 +17,9 @@ from jaxcam.errors import ConfigError
 ADDRESSES = ("ws://", "wss://")
 """What the address of a server begins with; other policies are functions in Python."""
 
+MOST_STEPS = 1000
+"""Of a chunk that are executed: no episode has as many."""
+
 
 @dataclass(frozen=True)
 class ForeignConfig:
@@ -68,7 +71,8 @@ class ForeignConfig:
     def __post_init__(self) -> None:
         check_types(self)
         check_least(self, 1, "views execute at_once")
-        check_most(self, 1000, "views execute at_once")
+        check_most(self, MOST_STEPS, "execute")
+        check_most(self, 1000, "views at_once")
         check_least(self, 0, "timeout", or_equal=False)
         check_most(self, 86_400, "timeout")
         if self.resolution is not None:
@@ -113,6 +117,6 @@ class ObsMap:
     def __post_init__(self) -> None:
         check_types(self)
         check_least(self, 1, "execute observation_steps")
-        check_most(self, 1000, "execute observation_steps")
+        check_most(self, MOST_STEPS, "execute observation_steps")
         if self.resolution is not None:
             rows_and_columns(self.resolution)

@@ -86,7 +86,8 @@ class ResetOptions:
                 raise ConfigError(f"reset: unknown option {name!r:.80}{closest(str(name), known)}.")
         again = _mask(given.get("reset_mask"), count)
         name = given.get("split", "test")
-        split = next((known for known in get_args(Split) if name == known), None)
+        splits = get_args(Split) if isinstance(name, str) else ()
+        split = next((known for known in splits if name == known), None)
         if split is None:
             raise ConfigError(f"reset: unknown split {name!r:.80}{closest(str(name), SPLITS)}.")
         if given.get("pair") is None:

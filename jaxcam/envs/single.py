@@ -4,14 +4,17 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.utils import EzPickle
 from gymnasium.vector import AutoresetMode
 
-from jaxcam.envs.vector import METADATA, TaskVectorEnv, as_actions
+from jaxcam.envs.vector import METADATA, TaskVectorEnv, as_actions, seeds_of
 from jaxcam.errors import ConfigError
 
 
-class TaskEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
+class TaskEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray], EzPickle):
     """An environment of one task; see docs/gymnasium.md.
+
+    A copy, or what was pickled, is another environment with the same options.
 
     Args:
         render_mode: `rgb_array`, or None.
@@ -25,6 +28,7 @@ class TaskEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     metadata: dict[str, Any] = METADATA
 
     def __init__(self, render_mode: str | None = None, **options: Any) -> None:
+        EzPickle.__init__(self, render_mode, **options)
         if given := {"num_envs", "autoreset_mode"} & set(options):
             raise ConfigError(f"{', '.join(sorted(given))}: use gymnasium.make_vec.")
         self._one = TaskVectorEnv(1, render_mode, AutoresetMode.DISABLED, **options)
@@ -47,7 +51,7 @@ class TaskEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         """
         if options and "reset_mask" in options:
             raise ConfigError("reset: reset_mask is for several environments, and this is one.")
-        super().reset(seed=seed)
+        super().reset(seed=seeds_of(seed, 1)[0])
         self._one.rngs = [self.np_random]
         observations, infos = self._one.reset(options=options)
         return _first(observations), _first_info(infos)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from gymnasium.utils import seeding
+from gymnasium.utils import EzPickle, seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
@@ -20,8 +20,10 @@ METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": CONTROL
 MOST_ENVS = 100_000
 
 
-class TaskVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
+class TaskVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray], EzPickle):
     """Environments of one task, stepped and drawn together; see docs/gymnasium.md.
+
+    A copy, or what was pickled, is another batch with the same options.
 
     Args:
         num_envs: How many.
@@ -45,6 +47,7 @@ class TaskVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         **options: Any,
     ) -> None:
+        EzPickle.__init__(self, num_envs, render_mode, autoreset_mode, **options)
         if type(num_envs) is not int or not 1 <= num_envs <= MOST_ENVS:
             raise ConfigError(f"num_envs must be 1 to {MOST_ENVS}, got {num_envs!r:.80}.")
         if render_mode not in (None, "rgb_array"):
@@ -157,7 +160,7 @@ class TaskVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
 
     def _seed_with(self, seed: Any, again: np.ndarray) -> None:
         """Makes random numbers anew where there is a seed, or none yet."""
-        seeds = _seeds(seed, self.num_envs)
+        seeds = seeds_of(seed, self.num_envs)
         for i in np.flatnonzero(again):
             if seeds[i] is not None or self.rngs[i] is None:
                 self.rngs[i] = seeding.np_random(seeds[i])[0]
@@ -223,6 +226,8 @@ def as_actions(actions: Any, shape: tuple[int, ...] | None) -> np.ndarray:
     """
     try:
         array = np.asarray(actions)
+        if array.dtype.kind in "USc":  # text and complex numbers would be converted
+            raise TypeError(f"they are {array.dtype}")
         numbers = array if array.dtype.kind == "f" else array.astype(np.float64)
     except (TypeError, ValueError) as error:
         raise ConfigError(f"step: the actions are no array of numbers: {error}.") from error
@@ -233,8 +238,16 @@ def as_actions(actions: Any, shape: tuple[int, ...] | None) -> np.ndarray:
     return numbers
 
 
-def _seeds(seed: Any, count: int) -> list[int | None]:
-    """A seed for each of the environments, or none."""
+def seeds_of(seed: Any, count: int) -> list[int | None]:
+    """A seed for each of the environments, or none.
+
+    Args:
+        seed: Of the first one, of the next one more; or a list of all.
+        count: Environments.
+
+    Raises:
+        ConfigError: It is none, or there are more or fewer.
+    """
     seeds: list[int | None] = [None] * count
     if isinstance(seed, list | tuple | np.ndarray) and np.ndim(seed) == 1:
         seeds = [None if one is None else whole_number("seed", one) for one in seed]

@@ -11,6 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from jaxcam.config.foreign import MOST_STEPS
 from jaxcam.console.words import plain_line
 from jaxcam.errors import PortError
 from jaxcam.evaluation.mapping import Names, observation_sent, sent
@@ -74,7 +75,7 @@ class Asking:
         chunks = dict(zip(asked, map(self._chunk, answers), strict=True))
         if self.execute is None:
             lengths = [len(c) for c in chunks.values() if isinstance(c, np.ndarray)]
-            self.execute = lengths[0] if lengths else None
+            self.execute = min(lengths[0], MOST_STEPS) if lengths else None
         steps = self.execute or 1
         actions = np.full((len(active), steps, self.size), np.nan, np.float32)
         for episode, chunk in chunks.items():
@@ -93,7 +94,7 @@ class Asking:
         batched = self.source.batched if isinstance(self.source, PolicyFunction) else None
         if batched:
             try:
-                answers = list(answered(batched, questions))
+                answers = answered(lambda several: list(batched(several)), questions)
             except FailedError as error:
                 return [error] * len(asked)
             wrong = FailedError(f"{len(answers)} answers to {len(asked)} observations")
@@ -105,9 +106,9 @@ class Asking:
 
     def _ask(self, pair: tuple[int, Mapping[str, Any]]) -> Any | FailedError:
         episode, question = pair
-        if episode not in self._talks:
-            self._talks[episode] = self.source.talk(self.answer)
         try:
+            if episode not in self._talks:
+                self._talks[episode] = self.source.talk(self.answer)
             return self._talks[episode].ask(question)
         except FailedError as error:
             return error
@@ -130,11 +131,16 @@ class Asking:
             if self.answer not in content:
                 return f"an answer without {self.answer}: {sorted(map(str, content))}"
             answer = content[self.answer]
+        expected = f"expected numbers [T, {self.size}]"
         try:
+            given = np.asarray(answer)
+            if given.dtype.kind not in "fiub":  # text and complex numbers would be converted
+                kind = given.dtype if isinstance(answer, np.ndarray) else type(answer).__name__
+                return f"actions are {kind}, {expected}"
             with np.errstate(over="ignore", invalid="ignore"):
-                chunk = np.asarray(answer, np.float32)
+                chunk = given.astype(np.float32)
         except Exception:  # whatever theirs does where it cannot become an array
-            return f"actions are {type(answer).__name__}, expected numbers [T, {self.size}]"
+            return f"actions are {type(answer).__name__}, {expected}"
         if chunk.ndim != 2 or chunk.shape[1] != self.size or not len(chunk):
             return f"actions have the shape {list(chunk.shape)}, expected [T, {self.size}]"
         good = np.abs(chunk) < BEYOND  # False for what is no number, too

@@ -13,6 +13,7 @@ from rich.console import Console
 from jaxcam.config.commands import EvaluateConfig
 from jaxcam.config.foreign import ForeignConfig, ObsMap
 from jaxcam.config.sizes import rows_and_columns
+from jaxcam.console.words import plain_line
 from jaxcam.errors import ConfigError, NoServerError
 from jaxcam.evaluation.asking import Asking
 from jaxcam.evaluation.checkpoint import Wanted, evaluate
@@ -96,7 +97,8 @@ def evaluate_foreign(config: EvaluateConfig, console: Console | None) -> Path:
     record_environment(folder)
     write_map(folder / "obs.yaml", map_of(record))
     if console:
-        console.print(_told(record, names), soft_wrap=True, highlight=False)
+        words = plain_line(_told(record, names))
+        console.print(words, soft_wrap=True, highlight=False, markup=False)
     evaluator = Evaluator(record, config.width, engine)
     candidate = ForeignPolicy(record, source, names, folder)
     wanted_pairs = Wanted(config.split, config.pairs, config.videos)
@@ -177,7 +179,8 @@ def _conclude(config: EvaluateConfig, folder: Path, console: Console | None) -> 
         console.print(
             f"{folder.name}: success on {config.pairs} {config.split} pairs: {success_rate(rows)}",
             soft_wrap=True,
+            markup=False,
         )
         for line in causes(rows):
             console.print(line, soft_wrap=True, highlight=False, markup=False)
-        console.print(f"Page: {page}", soft_wrap=True)
+        console.print(f"Page: {page}", soft_wrap=True, markup=False)

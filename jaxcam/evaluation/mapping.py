@@ -16,7 +16,8 @@ import yaml
 from jaxcam.config.fields import as_record, short
 from jaxcam.config.foreign import ObsMap
 from jaxcam.errors import ConfigError, closest
-from jaxcam.files.paths import home, read_text
+from jaxcam.files.paths import home
+from jaxcam.files.yaml import read_yaml
 
 STATE, PROMPT = "observation.state", "prompt"
 CHANCE = ("call", "row")
@@ -54,17 +55,11 @@ def read_map(file: str) -> ObsMap:
         file: YAML, see `ObsMap`.
 
     Raises:
-        ConfigError: It is not there, is no YAML, or has what a map has not; with the closest name.
+        ConfigError: It is not there, is no YAML, names something twice, or has what a map has not;
+            with the closest name.
     """
     path = home(file)
-    try:
-        content = yaml.safe_load(read_text(path))
-    except FileNotFoundError as error:
-        raise ConfigError(f"--obs {path}: no such file.") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"--obs {path} cannot be read: {error}.") from error
-    except (yaml.YAMLError, RecursionError) as error:
-        raise ConfigError(f"--obs {path} is no YAML: {error}.") from error
+    content = read_yaml(path)
     if not isinstance(content, dict):
         raise ConfigError(
             f"--obs {path}: expected entries such as keys and action_space, got {short(content)}."
@@ -103,6 +98,11 @@ def names_of_map(keys: Mapping[str, Any], views: int, state: int) -> Names:
     Raises:
         ConfigError: An entry is of something that we have not; with the closest name.
     """
+    if not keys:
+        raise ConfigError(
+            "keys names nothing, so nothing would be sent. Leave keys out to send all under our "
+            "names."
+        )
     known = [*our_names(numbered_views(views)), *CHANCE]
     return {
         theirs: tuple(_part(theirs, one, known, state) for one in _several(theirs, ours))

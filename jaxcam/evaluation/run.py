@@ -86,8 +86,9 @@ def _conclude(
             f"{folder.name}: success on {config.pairs} {config.split} pairs at {what}: "
             f"{success_rate(rows)}",
             soft_wrap=True,
+            markup=False,
         )
-        console.print(f"Report: {report}", soft_wrap=True)
+        console.print(f"Report: {report}", soft_wrap=True, markup=False)
 
 
 def steps_to_judge(folder: Path, trained: TrainConfig) -> tuple[list[int], list[str]]:
@@ -142,7 +143,7 @@ def evaluate_runs(config: EvaluateConfig, console: Console | None = None) -> Non
             if len(config.run) == 1:
                 raise
             if console:
-                console.print(f"{run}: {error}", style="red", soft_wrap=True)
+                console.print(f"{run}: {error}", style="red", soft_wrap=True, markup=False)
             errors.append(error)
     if errors:
         raise errors[0]

@@ -106,6 +106,7 @@ class PolicyServer:
         """A connection for one episode.
 
         Raises:
+            FailedError: It does not begin an episode.
             NoServerError: There is no such server any more, or another one.
         """
         client = self._connect(answer)
@@ -116,7 +117,14 @@ class PolicyServer:
                 "so another policy is served there now, whose rows would be mixed with those "
                 "before."
             )
-        client.reset()
+        try:
+            client.reset()
+        except NoServerError:
+            raise
+        except PortError as error:
+            client.close()
+            self._connect().close()  # sees that it is still there
+            raise FailedError(str(error), refused=isinstance(error, RefusedError)) from error
         return _Connection(client, lambda: self._connect().close())
 
     def _connect(self, answer: str = "actions") -> Client:
@@ -177,7 +185,13 @@ class PolicyFunction:
     def __init__(self, address: str) -> None:
         self.address = address
         module, self._target = _imported(address)
-        said = getattr(self._target, "metadata", None) or {}
+        try:
+            said = getattr(self._target, "metadata", None)
+        except Exception as error:
+            raise ConfigError(
+                f"--policy {address}: its metadata cannot be read: {error}"
+            ) from error
+        said = {} if said is None else said
         if not isinstance(said, Mapping):
             raise ConfigError(f"--policy {address}: its metadata is no dict.")
         self.metadata: dict[str, Any] = as_json(dict(cast("Mapping[Any, Any]", said)))
@@ -194,16 +208,21 @@ class PolicyFunction:
     @property
     def batched(self) -> Callable[[Sequence[Mapping[str, Any]]], Sequence[Any]] | None:
         """What answers several observations at once, if it does."""
-        return getattr(self._target, "infer_batch", None)
+        return None if inspect.isclass(self._target) else getattr(self._target, "infer_batch", None)
 
     def talk(self, answer: str) -> Talk:
-        """An object for one episode, told that an episode begins."""
+        """An object for one episode, told that an episode begins.
+
+        Raises:
+            ConfigError: The class gives no object.
+            FailedError: It raised an exception when it was told.
+        """
         if not inspect.isclass(self._target):
             own = self._target
         else:
             own = self._idle.pop() if self._idle else _made(self._target, self.address)
         if hasattr(own, "reset"):
-            own.reset()
+            answered(lambda _: own.reset(), None)
         given_back = self._idle if inspect.isclass(self._target) else []
         return _Call(getattr(own, "infer", own), lambda: given_back.append(own))
 
@@ -227,7 +246,7 @@ def answered(function: Callable[[Any], Any], question: Any) -> Any:
     """
     try:
         return function(question)
-    except Exception as error:  # whatever it is, it is theirs
+    except (Exception, SystemExit) as error:  # whatever it is, it is theirs
         raise FailedError(f"{type(error).__name__}: {error}", refused=True) from error
 
 
@@ -249,7 +268,7 @@ def _imported(address: str) -> tuple[Any, Any]:
             f"--policy {address}: no module {error.name!r}{where}. It is looked for where the "
             "command is started, in PYTHONPATH, and among what is installed."
         ) from error
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ConfigError(
             f"--policy {address}: {module_name} cannot be imported: {type(error).__name__}: {error}"
         ) from error

@@ -142,7 +142,8 @@ def _texts(value: Any) -> tuple[str, ...] | None:
     if not isinstance(value, list):
         return None
     texts = tuple(value)
-    return texts if texts and all(isinstance(text, str) for text in texts) else None
+    good = all(isinstance(text, str) for text in texts) and len({*texts}) == len(texts)
+    return texts if texts and good else None
 
 
 def _size(value: Any) -> int | str | None:
@@ -157,12 +158,12 @@ def _name(flags: ForeignConfig, source: PolicySource) -> str:
     if not flags.name:
         given = Said.of(source.metadata).run or re.sub(r"^wss?://|[/:]+", " ", flags.policy).strip()
         safe = file_name(given.replace(" ", "-"))[:80]
-        return f"foreign-{safe}" if safe in ours or not _NAME.fullmatch(safe) else safe
+        return f"foreign-{safe}" if safe.lower() in ours or not _NAME.fullmatch(safe) else safe
     if not _NAME.fullmatch(flags.name):
         raise ConfigError(
             f"--name {flags.name!r:.100}: expected at most 80 letters, digits and _ . + -, since "
             "it is part of a folder's name."
         )
-    if flags.name in ours:
+    if flags.name.lower() in ours:  # reports write them in capitals, too
         raise ConfigError(f"--name {flags.name} is the name of a policy of ours. Choose another.")
     return flags.name

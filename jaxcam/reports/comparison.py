@@ -211,11 +211,11 @@ def _caption(arm: Arm) -> str:
 
 
 def _videos(runs: Sequence[Run], out: Path) -> Mapping[str, list[Link]]:
-    """Links to the videos of failures, which stay in the runs' folders."""
+    """Links to the videos of failures, which stay in the runs' folders, by where a run is from."""
     links: dict[str, list[Link]] = {}
     for run in runs:
         files = own_files(run.folder / "videos", "failures-*.mp4")[::-1] if run.folder else []
-        links[run.name] = [Link(file.name, _relative(file, out)) for file in files]
+        links[run.source] = [Link(file.name, _relative(file, out)) for file in files]
     return links
 
 

@@ -13,7 +13,7 @@ from jaxcam.reports.arms import Run, kind_of_pairs
 from jaxcam.reports.packs.folder import read_results, run_key
 from jaxcam.reports.packs.pack import Pack, is_pack, read_pack
 from jaxcam.reports.packs.records import NAMED
-from jaxcam.results.protocol import NOT_RECORDED
+from jaxcam.results.protocol import NOT_RECORDED, is_foreign
 from jaxcam.results.rows import USUAL_WAY, Row
 from jaxcam.results.stats import latest_rows
 from jaxcam.runs.foreign import has_foreign, read_foreign_record
@@ -21,6 +21,9 @@ from jaxcam.runs.identity import Settings, identity, read_config
 from jaxcam.runs.manifests import record_of_weights, sides
 from jaxcam.runs.metrics import read_metrics
 from jaxcam.runs.rollouts import of_one_run, read_rows, read_run_rows
+
+_MARKS = ("digest", "evaluation")
+"""Settings that tell somebody's policies of one name apart, which a report adds to them."""
 
 
 def read_runs(paths: Iterable[str | Path], split: str = "test") -> list[Run]:
@@ -34,7 +37,7 @@ def read_runs(paths: Iterable[str | Path], split: str = "test") -> list[Run]:
         ConfigError: A folder has no run, two runs of the same settings and seed disagree, or a pair
             of one run is not the pair of that number in another.
     """
-    runs: dict[str, Run] = {}
+    runs: dict[str, list[Run]] = {}
     for path in map(absolute, paths):
         folders = list(_find(path, set()))
         if not folders:
@@ -44,11 +47,10 @@ def read_runs(paths: Iterable[str | Path], split: str = "test") -> list[Run]:
             )
         for folder in folders:
             check_stop()
-            for run in _read(folder, split):
-                key = run_key(run)
-                runs[key] = _merge(runs[key], run) if key in runs else run
-    _check_pairs(runs.values())
-    return list(runs.values())
+            for run in map(_without_marks, _read(folder, split)):
+                _take_in(runs.setdefault(run_key(run), []), run)
+    _check_pairs(run for alike in runs.values() for run in alike)
+    return [run for alike in runs.values() for run in _told_apart(alike)]
 
 
 def read_packs(paths: Iterable[str | Path]) -> list[Pack]:
@@ -164,17 +166,70 @@ def _read_rows(folder: Path, split: str) -> list[Run]:
     return runs
 
 
+def _take_in(alike: list[Run], run: Run) -> None:
+    """Adds a run to those of the same settings and seed: to one of them, if it is that one.
+
+    Anybody's two policies may have one name and the same settings, and are two then.
+    """
+    for i, one in enumerate(alike):
+        if not is_foreign(run.settings["policy"]) or _may_be_one(one, run):
+            alike[i] = _merge(one, run)
+            return
+    alike.append(run)
+
+
+def _may_be_one(one: Run, other: Run) -> bool:
+    """Whether nothing is known by which rollouts are of two policies."""
+    shas = _shas(one) | _shas(other)
+    return len(shas) < 2 and _contradiction(one, other) is None
+
+
+def _shas(run: Run) -> set[str]:
+    """The digests of what acted, as far as the rows say them."""
+    return {row.weights_sha for row in run.rows if row.weights_sha}
+
+
+def _contradiction(one: Run, other: Run) -> Row | None:
+    """A rollout of the other run that ended differently in the one."""
+    known = {(row.step, row.pair): row.success for row in one.rows}
+    return next(
+        (r for r in other.rows if known.get((r.step, r.pair), r.success) != r.success), None
+    )
+
+
+def _without_marks(run: Run) -> Run:
+    """A run without what an earlier report told it apart by."""
+    if not (is_foreign(run.settings["policy"]) and run.settings.keys() & set(_MARKS)):
+        return run
+    kept = {name: value for name, value in run.settings.items() if name not in _MARKS}
+    return replace(run, settings=kept)
+
+
+def _told_apart(alike: Sequence[Run]) -> list[Run]:
+    """Runs of the same settings and seed with what tells them apart, where there are several."""
+    if len(alike) == 1:
+        return list(alike)
+    known = ["".join(sorted(_shas(run)))[:8] for run in alike]
+    marked = []
+    for i, (run, sha) in enumerate(zip(alike, known, strict=True)):
+        marks: Settings = {"digest": sha} if sha else {}
+        if known.count(sha) > 1:
+            marks["evaluation"] = known[: i + 1].count(sha)
+        marked.append(replace(run, settings=run.settings | marks))
+    return marked
+
+
 def _merge(one: Run, other: Run) -> Run:
     """The rollouts of both; they are the same run, or it is an error."""
+    if (row := _contradiction(one, other)) is not None:
+        raise ConfigError(
+            f"{one.source} and {other.source} have the same settings and the same seed "
+            f"({one.seed}), but pair {row.pair} at step {row.step} ended differently. They are "
+            "two runs of one thing: give only one of them."
+        )
     known = {(row.step, row.pair): row for row in one.rows}
     for row in other.rows:
-        before = known.setdefault((row.step, row.pair), row)
-        if before.success != row.success:
-            raise ConfigError(
-                f"{one.source} and {other.source} have the same settings and the same seed "
-                f"({one.seed}), but pair {row.pair} at step {row.step} ended differently. They are "
-                "two runs of one thing: give only one of them."
-            )
+        known.setdefault((row.step, row.pair), row)
     return replace(one if one.folder else other, rows=list(known.values()))
 
 

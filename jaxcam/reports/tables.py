@@ -180,7 +180,7 @@ def runs_table(runs: Iterable[Run], links: Mapping[str, Sequence[Link]]) -> Tabl
 
     Args:
         runs: All runs.
-        links: Videos by run name.
+        links: Videos by where a run is from.
     """
     rows = []
     for run in runs:
@@ -188,7 +188,7 @@ def runs_table(runs: Iterable[Run], links: Mapping[str, Sequence[Link]]) -> Tabl
         estimate, shown = arm.estimate, run.counted
         steps = sorted(by_field(shown, "step"))
         hours = f"{run.seconds / 3600:.2f}" if run.seconds else NONE
-        films = links.get(run.name, ())
+        films = links.get(run.source, ())
         rows.append([
             run.name, NONE if run.seed is None else str(run.seed), arm.label(), f"{len(steps)}",
             f"{max(steps, default=0):,}", str(estimate.n),

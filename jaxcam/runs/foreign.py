@@ -88,7 +88,10 @@ class ForeignRecord:
     def settings(self) -> Settings:
         """What makes it comparable to others, as `jaxcam.runs.identity.identity` of a run."""
         names = ("task", "scene", "policy", "conditioning", "views", "resolution", "action_space")
-        return {"preset": None, **{name: getattr(self, name) for name in names}}
+        settings = {"preset": None, **{name: getattr(self, name) for name in names}}
+        usual = {"rotations": "nominal", "execute": None, "observation_steps": 1}
+        unusual = {k: v for k in usual if (v := getattr(self, k)) != usual[k]}
+        return settings | unusual
 
     def __post_init__(self) -> None:
         check_types(self)
@@ -154,20 +157,32 @@ def _differences(known: ForeignRecord, record: ForeignRecord, names: list[str]) 
     return "; ".join(words) or "the function's file has changed"
 
 
-def as_json(value: Any) -> Any:
-    """What a policy says of itself as JSON has it: arrays as lists, anything odd as text."""
+def as_json(value: Any, depth: int = 0) -> Any:
+    """What a policy says of itself as JSON has it: arrays as lists, anything odd as text.
+
+    Args:
+        value: What it says.
+        depth: In how much else that is.
+    """
     if isinstance(value, np.ndarray | np.generic):
         value = cast(Any, value).tolist()
+    if isinstance(value, dict | list | tuple) and depth >= _DEEPEST:
+        return "…"
     if isinstance(value, dict):
-        return {_text(str(k)): as_json(v) for k, v in cast("dict[Any, Any]", value).items()}
+        content = cast("dict[Any, Any]", value)
+        return {_text(str(k)): as_json(v, depth + 1) for k, v in content.items()}
     if isinstance(value, list | tuple):
-        return [as_json(part) for part in cast("list[Any]", value)]
+        return [as_json(part, depth + 1) for part in cast("list[Any]", value)]
     if isinstance(value, str):
         return _text(value)
     whole = isinstance(value, int) and abs(value) < 2**63
     if value is None or whole or (isinstance(value, float) and math.isfinite(value)):
         return value
     return repr(value)
+
+
+_DEEPEST = 50
+"""Of what a policy says, what is deeper than this is left out."""
 
 
 def _text(text: str) -> str:

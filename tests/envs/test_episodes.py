@@ -68,6 +68,7 @@ def test_what_is_asked_for(given, pairs):
         ({"pair": [[1, 2]]}, "whole number"),
         ({"pair": 0, "split": "train"}, "unknown split 'train'"),
         ({"pair": 0, "split": ["test"]}, "unknown split"),
+        ({"pair": 0, "split": np.array(["test", "x"])}, "unknown split"),
         ({"split": "test"}, "a split has numbered pairs"),
         ({"reset_mask": [1, 0]}, r"reset_mask must be bool \[2\]"),
         ({"reset_mask": np.ones(3, bool)}, r"reset_mask must be bool \[2\]"),

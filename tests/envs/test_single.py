@@ -1,5 +1,6 @@
 """One environment: gymnasium's checkers, and the promises of its interface."""
 
+import pickle
 import subprocess
 import sys
 
@@ -65,6 +66,9 @@ def test_what_is_for_several_is_refused(make):
     env = make().unwrapped
     with pytest.raises(ConfigError, match="reset_mask is for several"):
         env.reset(options={"reset_mask": np.array([True])})
+    for seed, message in ((-1, "0 or more"), (1.5, "whole number"), (True, "whole number")):
+        with pytest.raises(ConfigError, match=message):
+            env.reset(seed=seed)
     with pytest.raises(ConfigError, match="call reset first"):
         env.step(np.zeros(7))
     env.reset()
@@ -110,3 +114,11 @@ def test_a_task_of_maniskill(maniskill, make):
     again, _ = env.reset(options={"pair": 1})
     np.testing.assert_array_equal(again["state"], first["state"])
     assert info["pair"] == 1
+
+
+def test_a_copy_is_another_environment_of_the_same_kind(make):
+    env = make(views=2).unwrapped
+    other = pickle.loads(pickle.dumps(env))
+    assert other.action_space == env.action_space
+    seeds = [e.reset(seed=s)[1]["episode_seed"] for e, s in ((env, 3), (other, np.int64(3)))]
+    assert seeds[0] == seeds[1]

@@ -196,6 +196,8 @@ def test_bad_seeds_are_refused_in_words(make_vec, seed, message):
         (np.zeros(7), r"shape \[7\], expected \[3, 7\]"),
         ([[0.0], [0.0, 1.0], []], "no array of numbers"),
         ([["a"] * 7] * 3, "no array of numbers"),
+        ([["0"] * 7] * 3, "they are <U1"),
+        (np.full((3, 7), 1j), "they are complex128"),
         (None, "no array of numbers|shape"),
     ],
 )

@@ -231,3 +231,51 @@ def test_a_batch_is_answered_at_once(monkeypatch):
     with act.at_work():
         act(OBS, 0, ALL)
     assert act.causes[0] == "1 answers to 3 observations"
+
+
+class _Refuses:
+    def reset(self):
+        if _Refuses.ill:
+            raise RuntimeError("cannot begin")
+
+    def infer(self, observation):
+        return good(observation)
+
+    def infer_batch(self, observations):
+        raise AssertionError("a class has no object of all episodes")
+
+
+@pytest.mark.parametrize("wrong", [lambda _: None, lambda _: iter([1 / 0]), lambda _: sys.exit(3)])
+def test_an_object_of_all_episodes_that_fails_has_failed_all(monkeypatch, wrong):
+    every = type("Policy", (), {"infer_batch": lambda self, some: wrong(some)})()
+    act = asking(function(monkeypatch, every))
+    assert np.isnan(act(OBS, 1, ALL)).all()
+    assert len(act.causes) == BATCH
+
+
+def test_an_episode_that_cannot_begin_has_failed(monkeypatch):
+    _Refuses.ill = True
+    act = asking(function(monkeypatch, _Refuses))
+    act(OBS, 1, np.array([True, False, False]))
+    assert act.causes == {0: "RuntimeError: cannot begin"}
+    _Refuses.ill = False
+    assert np.isfinite(act(OBS, 1, np.array([False, True, True]))[1:]).all()
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        ([["0"] * 7] * 3, "actions are list, expected numbers [T, 7]"),
+        (np.full((3, 7), 1j), "actions are complex128, expected numbers [T, 7]"),
+        (None, "actions are NoneType, expected numbers [T, 7]"),
+    ],
+)
+def test_what_would_have_to_be_converted_is_no_action(monkeypatch, answer, words):
+    act = asking(function(monkeypatch, but(1, lambda _: answer)))
+    act(OBS, 1, ALL)
+    assert act.causes == {1: words}
+
+
+def test_of_an_endless_chunk_no_more_is_executed_than_an_episode_can_have(monkeypatch):
+    act = asking(function(monkeypatch, lambda _: np.zeros((5000, 7))))
+    assert act(OBS, 0, ALL).shape == (BATCH, 1000, 7)

@@ -98,7 +98,7 @@ def test_a_server_in_pytorch_and_the_same_in_python_give_the_same_rows(tmp_path,
 
 
 def test_failures_are_told_with_their_causes_and_the_rest_counts(tmp_path, capsys):
-    asked = []
+    asked, folder = [], tmp_path / "theirs[/red]"
 
     def policy(observation):
         asked.append(observation)
@@ -109,12 +109,12 @@ def test_failures_are_told_with_their_causes_and_the_rest_counts(tmp_path, capsy
     with policy_server(policy) as address:
         code = exit_code(
             "evaluate", "--policy", address, "--pairs", WIDTH, "--width", WIDTH, "--videos", 0,
-            "--resolution", 16, "--name", "theirs", "--run-dir", tmp_path / "theirs",
+            "--resolution", 16, "--name", "theirs", "--run-dir", folder,
         )  # fmt: skip
     assert code == 0
     # 5 steps, 2 at a time; the lost question is asked once more, and then no more.
     assert len(asked) == WIDTH + 1 + 2
-    rows = read_run_rows(tmp_path / "theirs")
+    rows = read_run_rows(folder)
     assert [(row.status, row.success) for row in rows] == [
         ("ok", False), ("policy", False), ("policy", False)
     ]  # fmt: skip
@@ -123,7 +123,7 @@ def test_failures_are_told_with_their_causes_and_the_rest_counts(tmp_path, capsy
         f"The connection to {address} was lost, and made again.",
     ]  # fmt: skip
     shown = " ".join(capsys.readouterr().out.split())
-    page = (tmp_path / "theirs" / "report.html").read_text("utf-8")
+    page = (folder / "report.html").read_text("utf-8")
     for row in rows[1:]:
         assert f"No actions in 1 rollout: {row.cause}" in shown
         assert f"failure: {row.cause}" in page

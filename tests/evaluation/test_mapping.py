@@ -99,6 +99,7 @@ answer: chunk
         ({"a": "observation.state[0]"}, r"we have no 'observation.state\[0\]'"),
         ({"a": 3}, "expected a name of ours"),
         ({"a": []}, "expected a name of ours"),
+        ({}, "keys names nothing"),
         ({"a": ["observation.state", "prompt"]}, "only parts of observation.state can be joined"),
     ],
 )
@@ -117,7 +118,8 @@ def test_what_we_have_not_is_told_with_the_closest_name(keys, message):
         ("keys: view", "keys must be dict or NoneType"),
         ("prompt: 3", "prompt must be str or NoneType"),
         ("- a", "expected entries such as keys"),
-        ("a: [", "is no YAML"),
+        ("a: [", "cannot be read: while parsing"),
+        ("keys: {a: prompt, a: observation.state}", "'a' is there twice"),
         ("", "expected entries such as keys"),
     ],
 )

@@ -53,6 +53,11 @@ def test_what_is_no_policy_is_refused(tmp_path, monkeypatch, address, message):
     [
         ("import nothing_of_the_kind", "no module 'nothing_of_the_kind', which my_policy imports"),
         ("1 / 0", "cannot be imported: ZeroDivisionError"),
+        ("import sys; sys.exit(0)", "cannot be imported: SystemExit"),
+        (
+            "class P:\n  infer = print\n  metadata = property(lambda self: 1 / 0)\ninfer = P()",
+            "its metadata cannot be read: division by zero",
+        ),
         ("def infer(o): return o\ninfer.metadata = 3", "its metadata is no dict"),
     ],
 )

@@ -9,6 +9,8 @@ from packs import foreign, ours, pack_of
 from places import REPO
 
 from jaxcam.errors import ConfigError, DatasetError
+from jaxcam.reports.arms import group
+from jaxcam.reports.packs.folder import write_results
 from jaxcam.reports.reading import read_packs, read_runs
 
 
@@ -61,12 +63,42 @@ def test_packs_of_other_pairs_are_refused_with_both_and_the_pair(tmp_path, read)
         read([tmp_path / "mine", tmp_path / "yours"])
 
 
-def test_two_policies_of_one_name_are_one_thing_for_a_report_only(tmp_path):
-    pack_of(tmp_path / "a", [foreign(rate=0.5)])
-    pack_of(tmp_path / "b", [foreign(rate=0.25)])
-    with pytest.raises(ConfigError, match=r"a \(jaxcam.*b \(jaxcam.*pair 2 .* ended differently"):
-        read_runs([tmp_path])
-    assert len(read_packs([tmp_path])) == 2
+def acted(run, sha):
+    """The same run of weights with this digest."""
+    return replace(run, rows=[replace(row, weights_sha=sha) for row in run.rows])
+
+
+@pytest.mark.parametrize(
+    ("shas", "marks"),
+    [
+        (("a" * 16, "b" * 16), [{"digest": "a" * 8}, {"digest": "b" * 8}]),
+        (("a" * 16,) * 2, [{"digest": "a" * 8, "evaluation": n} for n in (1, 2)]),
+        ((None, None), [{"evaluation": 1}, {"evaluation": 2}]),
+    ],
+)
+def test_two_policies_of_one_name_are_two_arms_of_a_report(tmp_path, shas, marks):
+    packs = [tmp_path / "a", tmp_path / "b"]
+    for pack, rate, sha in zip(packs, (0.5, 0.25), shas, strict=True):
+        pack_of(pack, [acted(foreign(rate=rate), sha)])
+    (one,), base = read_runs(packs[:1]), foreign().settings
+    assert not {"digest", "evaluation"} & one.settings.keys()
+    runs = read_runs([*packs, packs[0]])
+    marked = [{k: v for k, v in r.settings.items() if k not in one.settings} for r in runs]
+    assert marked == marks
+    assert [arm.estimate.value for arm in group(runs)] == [0.5, 0.25]
+    write_results(tmp_path / "report", runs)
+    again = read_runs([tmp_path / "report", *packs])
+    assert [run.settings for run in again] == [run.settings for run in runs]
+    assert base.items() <= again[0].settings.items()
+    assert len(read_packs(packs)) == 2
+
+
+def test_a_policy_and_more_of_its_rollouts_are_one(tmp_path):
+    half, whole = acted(foreign(pairs=4), "a" * 16), acted(foreign(pairs=8, rate=0.25), "a" * 16)
+    pack_of(tmp_path / "a", [half])
+    pack_of(tmp_path / "b", [whole])
+    (run,) = read_runs([tmp_path])
+    assert (len(run.rows), "digest" in run.settings) == (8, False)
 
 
 def test_a_leaderboard_is_of_packs_and_of_each_once(tmp_path):

@@ -99,3 +99,11 @@ def test_whatever_a_policy_says_becomes_json(tmp_path):
     keep_record(tmp_path, record)
     assert read_foreign_record(tmp_path) == record
     assert digest(kept) == digest(as_json(dict(reversed(said.items()))))
+
+
+def test_what_has_no_end_is_cut():
+    endless: dict = {"a": 1}
+    endless["self"] = endless
+    content = as_json(endless)
+    assert content["self"]["self"]["a"] == 1
+    assert json.dumps(content).endswith('"\\u2026"' + "}" * 50)
