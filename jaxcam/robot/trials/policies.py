@@ -7,7 +7,7 @@ from typing import Any
 
 from jaxcam.client import Client
 from jaxcam.errors import ConfigError, PortError
-from jaxcam.files.paths import read_text
+from jaxcam.files.keys import read_key
 from jaxcam.robot.driver import Robot
 from jaxcam.robot.trials.sheet import PolicyEntry, Sheet
 
@@ -97,13 +97,7 @@ def ask_policies(sheet: Sheet, folder: Path) -> list[Served]:
 def _key(entry: PolicyEntry, folder: Path) -> str | None:
     if entry.key_file is None:
         return None
-    path = folder / entry.key_file
-    try:
-        return read_text(path).strip()
-    except (OSError, ValueError) as error:
-        raise ConfigError(
-            f"Policy {entry.name!r}: key_file {path} cannot be read: {error}."
-        ) from error
+    return read_key(folder / entry.key_file, f"Policy {entry.name!r}: key_file")
 
 
 def _check_alike(served: Sequence[Served]) -> None:

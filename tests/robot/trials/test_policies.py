@@ -61,7 +61,7 @@ def test_a_server_that_wants_a_key(tmp_path):
             return connection.respond(401, "no\n")
         return None
 
-    (tmp_path / "key").write_text("secret\n")
+    (tmp_path / "key").write_text("secret\nof the second server\n")
     with socket_server(answering(METADATA, rester), process_request=admit) as url:
         with pytest.raises(PortError, match=r"'p0' of the sheet: .*401.* give key_file"):
             ask_policies(sheet([url]), tmp_path)
@@ -71,6 +71,9 @@ def test_a_server_that_wants_a_key(tmp_path):
             assert client.metadata == METADATA
         entry = PolicyEntry("p0", url, key_file="none")
         with pytest.raises(ConfigError, match=r"key_file .*none cannot be read"):
+            ask_policies(sheet([], policies=(entry,)), tmp_path)
+        (tmp_path / "none").write_text("two words")
+        with pytest.raises(ConfigError, match="one word of ASCII"):
             ask_policies(sheet([], policies=(entry,)), tmp_path)
 
 
