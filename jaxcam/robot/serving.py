@@ -207,6 +207,8 @@ def main(settings: ServeConfig, console: Console) -> int:
         listen(settings.host, settings.port, has_key=bool(key)) as listening,
     ):
         service = Service.open(settings)
+        if service.needs_cameras:  # any request may come with a lens, which is a program of its own
+            service.policy.warm(lens=True)
 
         def tell(line: str) -> None:
             console.print(line, highlight=False, soft_wrap=True)

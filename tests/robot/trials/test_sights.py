@@ -91,6 +91,7 @@ def test_a_policy_s_own_names_come_first():
     assert views_for(("a", "c"), ("v0", "v1")) == {"a": "v0", "c": "v1"}
     assert views_for(("b", "c"), ("a", "b", "c")) == {"b": "b", "c": "c"}
     assert views_for(("a",), ()) == {"a": "a"}
+    assert views_for(("a", "b"), ("v",)) == {"a": "v", "b": "b"}
 
 
 def test_what_a_file_lacks_is_said(tmp_path):
