@@ -156,6 +156,13 @@ def check_address(url: str) -> str:
     )
 
 
+def _said(error: Exception) -> str:
+    """What a server wrote with its refusal; empty if nothing."""
+    body = getattr(getattr(error, "response", None), "body", None) or b""
+    words = " ".join(body[:1000].decode(errors="replace").split())
+    return f" It says: {words[:300]}" if words else ""
+
+
 def _is_here(host: str) -> bool:
     """Whether a name is this machine's own, to which no proxy leads."""
     try:
@@ -295,7 +302,10 @@ class Client:
                     f"{error}. Name the server's machine in no_proxy."
                 ) from error
             except (InvalidURI, InvalidHandshake) as error:
-                raise NoServerError(f"{self.url} is no policy server for us: {error}.") from error
+                raise NoServerError(
+                    f"{self.url} is no policy server for us: {str(error).rstrip('.')}."
+                    f"{_said(error)}"
+                ) from error
             except (OSError, ConnectionClosed) as error:  # a time-out is one, too
                 self.close()
                 if time.monotonic() > until:
