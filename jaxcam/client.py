@@ -317,7 +317,8 @@ class Client:
         metadata = from_wire(first) if isinstance(first, bytes) else None
         if not isinstance(metadata, dict):
             self.close()
+            instead = f", but with {first!r:.500}" if isinstance(first, str) else ""
             raise NoServerError(
-                f"{self.url} did not begin with what it is, as openpi's servers do."
+                f"{self.url} did not begin with what it is, as openpi's servers do{instead}."
             )
         self.metadata = cast("dict[str, Any]", metadata)

@@ -37,7 +37,8 @@ class Served:
     @property
     def views(self) -> tuple[str, ...]:
         """What it calls what it sees; empty if it does not say."""
-        return tuple(map(str, self.metadata.get("views") or ()))
+        given = self.metadata.get("views")
+        return tuple(map(str, given)) if isinstance(given, list | tuple) else ()
 
     @property
     def views_at_once(self) -> int:

@@ -31,6 +31,8 @@ def test_what_servers_say_of_themselves(tmp_path):
     one, two = asked(tmp_path, METADATA, {})  # another's server may say nothing
     assert (one.views, one.views_at_once, one.execute) == (("a", "b"), 2, 5)
     assert (two.views, two.views_at_once, two.execute, two.weights_sha) == ((), 0, None, "")
+    [odd] = asked(tmp_path, {"views": 2, "views_at_once": "2", "execute": [5]})
+    assert (odd.views, odd.views_at_once, odd.execute) == ((), 0, None)
 
 
 @pytest.mark.parametrize(
