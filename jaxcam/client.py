@@ -9,16 +9,23 @@ imported. Messages are msgpack over a WebSocket, arrays as openpi's servers and 
     server -> client   {"actions": [T, A], "server_timing": {...}}, or text: what was wrong
 """
 
+import ipaddress
 import math
 import time
 from collections.abc import Mapping
 from contextlib import ExitStack
 from types import TracebackType
 from typing import Any, Self, cast
+from urllib.parse import urlsplit
 
 import msgpack
 import numpy as np
-from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidURI
+from websockets.exceptions import (
+    ConnectionClosed,
+    InvalidHandshake,
+    InvalidProxy,
+    InvalidURI,
+)
 from websockets.sync.client import ClientConnection, connect
 
 from jaxcam.errors import NoServerError, PortError, RefusedError
@@ -27,6 +34,8 @@ MOST_BYTES = 64 * 2**20
 """Of one message; two pictures of 1080 x 1920 are 12 MiB."""
 _KINDS = "biufSU"
 """Kinds of NumPy's types that arrays may have: truth values, numbers and text."""
+_MOST_PARTS = 100_000
+"""Lists, maps and arrays of a message; each costs its reader far more than the byte that it is."""
 
 
 def to_wire(message: Any) -> bytes:
@@ -50,8 +59,19 @@ def from_wire(data: bytes) -> Any:
     Raises:
         PortError: They are no such message, or an array in it is not what its header says.
     """
+    parts = 0
+
+    def counted(part: Any) -> Any:
+        nonlocal parts
+        parts += 1
+        if parts > _MOST_PARTS:
+            raise PortError(f"A message of more than {_MOST_PARTS} lists, maps and arrays.")
+        return _array(part) if isinstance(part, dict) else part
+
     try:
-        return msgpack.unpackb(data, object_hook=_array, strict_map_key=False)
+        return msgpack.unpackb(
+            data, object_hook=counted, list_hook=counted, ext_hook=_foreign, strict_map_key=False
+        )
     except PortError:
         raise
     except (ValueError, TypeError, msgpack.UnpackException, RecursionError) as error:
@@ -78,6 +98,10 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"{kind} is neither text nor numbers nor an array of them")
 
 
+def _foreign(code: int, data: bytes) -> Any:
+    raise PortError(f"Part of the message is of a kind of its sender's own ({code}).")
+
+
 def _array(entry: dict[Any, Any]) -> Any:
     """What `_plain` wrote; other entries stay as they are."""
     if b"__ndarray__" not in entry and b"__npgeneric__" not in entry:
@@ -96,8 +120,55 @@ def _array(entry: dict[Any, Any]) -> Any:
         return np.frombuffer(data, dtype).reshape(shape)
     except PortError:
         raise
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, SyntaxError) as error:
         raise PortError(f"An array in the message is damaged: {error}.") from error
+
+
+def is_key(key: object) -> bool:
+    """Whether something can be sent as a key: one word of ASCII letters, digits and signs."""
+    return isinstance(key, str) and key.isascii() and key.isprintable() and " " not in key
+
+
+def check_address(url: str) -> str:
+    """Refuses what is no address of a policy server.
+
+    Args:
+        url: Such as "ws://localhost:8000".
+
+    Returns:
+        The name of the machine.
+
+    Raises:
+        NoServerError: It is none.
+    """
+    try:
+        parts = urlsplit(url)
+        host = parts.hostname if parts.port != 0 else None
+        if parts.scheme in ("ws", "wss") and host and url.isprintable() and " " not in url:
+            host.encode("idna")
+            return host
+        why = ""
+    except (ValueError, TypeError, AttributeError) as error:
+        why = f" ({error})"
+    raise NoServerError(
+        f"{url!r:.200} is no address of a policy server{why}. Expected one such as "
+        "ws://127.0.0.1:8000."
+    )
+
+
+def _said(error: Exception) -> str:
+    """What a server wrote with its refusal; empty if nothing."""
+    body = getattr(getattr(error, "response", None), "body", None) or b""
+    words = " ".join(body[:1000].decode(errors="replace").split())
+    return f" It says: {words[:300]}" if words else ""
+
+
+def _is_here(host: str) -> bool:
+    """Whether a name is this machine's own, to which no proxy leads."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host.partition("%")[0]).is_loopback
+    except ValueError:
+        return False
 
 
 class Client:
@@ -125,6 +196,9 @@ class Client:
         patience: float = 10.0,
         answer: str = "actions",
     ) -> None:
+        self._host = check_address(url)
+        if key and not is_key(key):
+            raise NoServerError("A key is one word of ASCII letters, digits and signs.")
         self.url, self._timeout, self._patience, self._answer = url, timeout, patience, answer
         self._headers = {"Authorization": f"Api-Key {key}"} if key else {}
         self._connection: ClientConnection | None = None
@@ -217,13 +291,22 @@ class Client:
                     max_size=MOST_BYTES,
                     additional_headers=self._headers,
                     open_timeout=max(1.0, self._patience),
+                    proxy=None if _is_here(self._host) else True,
                 )
                 connection = cast(ClientConnection, self._open.enter_context(connecting))
                 self._connection = connection
                 first = connection.recv(self._timeout)
                 break
-            except (InvalidURI, InvalidHandshake, ValueError) as error:  # a port of 99999
-                raise NoServerError(f"{self.url} is no policy server for us: {error}.") from error
+            except (InvalidProxy, ImportError) as error:  # of another's kind than can be used
+                raise NoServerError(
+                    f"{self.url} cannot be asked through the proxy that the environment names: "
+                    f"{error}. Name the server's machine in no_proxy."
+                ) from error
+            except (InvalidURI, InvalidHandshake, ValueError) as error:
+                raise NoServerError(
+                    f"{self.url} is no policy server for us: {str(error).rstrip('.')}."
+                    f"{_said(error)}"
+                ) from error
             except (OSError, ConnectionClosed) as error:  # a time-out is one, too
                 self.close()
                 if time.monotonic() > until:
@@ -238,7 +321,8 @@ class Client:
             metadata = None
         if not isinstance(metadata, dict):
             self.close()
+            instead = f", but with {first!r:.500}" if isinstance(first, str) else ""
             raise NoServerError(
-                f"{self.url} did not begin with what it is, as openpi's servers do."
+                f"{self.url} did not begin with what it is, as openpi's servers do{instead}."
             )
         self.metadata = cast("dict[str, Any]", metadata)

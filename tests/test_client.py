@@ -85,6 +85,10 @@ def header(**changes):
         (header(shape=[-2]), "damaged"),
         (header(shape=7), "damaged"),
         (header(dtype="(2,)<f4", shape=[1]), "not taken"),
+        (header(dtype="(2,)f4,("), "damaged"),
+        (b"\xdd\x00\x02\x00\x00" + b"\x80" * 2**17, "more than 100000"),
+        (b"\xdd\x00\x02\x00\x00" + b"\x90" * 2**17, "more than 100000"),
+        (b"\xd4\x01\x00", "sender's own"),
     ],
 )
 def test_damaged_messages_are_refused(data, words):
@@ -176,6 +180,33 @@ def test_a_server_of_another_kind_is_refused(first):
 def test_an_address_without_a_server_is_told(url):
     with pytest.raises(PortError, match=url):
         Client(url, patience=0.0)
+
+
+@pytest.mark.parametrize(
+    "url",
+    ["", "ws://", "ws://localhost:abc", "ws://localhost:99999", "ws://[::1", "ws://a..b:1", "ws://x y",
+     "ws://" + "a" * 70, "ws://127.0.0.1:0"],
+)  # fmt: skip
+def test_what_is_no_address_is_refused(url):
+    with pytest.raises(PortError, match="is no address of a policy server"):
+        Client(url, patience=0.0)
+
+
+@pytest.mark.parametrize("key", ["two words", "two\nlines", "schlüssel"])
+def test_what_is_no_key_is_not_sent(key):
+    with pytest.raises(PortError, match="one word of ASCII"):
+        Client("ws://127.0.0.1:1", key=key)
+
+
+def test_no_proxy_is_asked_for_the_way_to_this_machine(monkeypatch):
+    for name in ("http_proxy", "https_proxy", "socks_proxy"):
+        monkeypatch.setenv(name, "http://127.0.0.1:1")
+    with socket_server(echo) as url, Client(url) as client:
+        assert client.metadata == {"name": "echo"}
+    monkeypatch.setenv("https_proxy", "nonsense")
+    monkeypatch.delenv("socks_proxy")
+    with pytest.raises(PortError, match="through the proxy that the environment names"):
+        Client("ws://192.0.2.1:1", patience=0.0)
 
 
 def test_an_answer_without_actions_is_refused():

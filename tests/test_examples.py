@@ -143,6 +143,12 @@ def test_a_robot_s_loop_moves_while_it_thinks(loop):
     assert robot.position[0] == pytest.approx(0.02 * robot.steps)
 
 
+def test_a_robot_s_loop_without_a_server_says_so(loop, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["loop.py", "127.0.0.1:8000"])
+    with pytest.raises(SystemExit, match="no address of a policy server"):
+        loop.main()
+
+
 def test_a_robot_s_loop_needs_no_jax():
     program = f"import runpy; runpy.run_path({str(LOOP)!r})"
     modules, _ = loaded(program)

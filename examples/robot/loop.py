@@ -7,6 +7,7 @@ the operator before each rollout.
 """
 
 import argparse
+import sys
 import time
 
 import numpy as np
@@ -97,12 +98,19 @@ def main() -> None:
     parser.add_argument("--again", action="store_true", help="rollout after rollout")
     asked = parser.parse_args()
     while True:
-        # The patience is for the operator, who begins the rollout at another terminal.
-        with Client(asked.url, timeout=5.0, patience=3600.0 if asked.again else 10.0) as policy:
-            metadata = policy.metadata
-            state = metadata.get("state_names") or [""] * 11
-            robot = MyRobot(metadata.get("views") or ["front"], len(state))
-            print(run(robot, policy, asked.seconds))
+        try:
+            # The patience is for the operator, who begins the rollout at another terminal.
+            patience = 3600.0 if asked.again else 10.0
+            with Client(asked.url, timeout=5.0, patience=patience) as policy:
+                metadata = policy.metadata
+                state = metadata.get("state_names") or [""] * 11
+                robot = MyRobot(metadata.get("views") or ["front"], len(state))
+                print(run(robot, policy, asked.seconds))
+        except PortError as error:  # there is no server, or it is gone
+            if not asked.again:
+                sys.exit(str(error))
+            print(error)
+            time.sleep(1.0)
         if not asked.again:
             break
 

@@ -21,7 +21,8 @@ from jaxcam.evaluation.evaluator import Evaluator
 from jaxcam.evaluation.mapping import Names, read_map, write_map
 from jaxcam.evaluation.sources import PolicyFunction, PolicyServer, PolicySource
 from jaxcam.evaluation.terms import map_of, names_sent, settled
-from jaxcam.files.paths import absolute, home, read_text
+from jaxcam.files.keys import read_key
+from jaxcam.files.paths import absolute, home
 from jaxcam.reports.run_figures import write_plots
 from jaxcam.reports.run_page import write_report
 from jaxcam.results.stats import causes, latest_rows, success_rate
@@ -125,7 +126,9 @@ def policy_source(flags: ForeignConfig, width: int) -> PolicySource:
         NoServerError: There is no such server.
     """
     if flags.is_server:
-        key = _key(flags)
+        key = flags.key
+        if flags.key_file:
+            key = read_key(home(flags.key_file), "--key-file")
         return PolicyServer(flags.policy, key, flags.timeout, flags.at_once or 0)
     function = PolicyFunction(flags.policy)
     if function.remembers and width > 1:
@@ -134,15 +137,6 @@ def policy_source(flags: ForeignConfig, width: int) -> PolicySource:
             "at once. Name its class, of which each gets an object of its own, or give --width 1."
         )
     return function
-
-
-def _key(flags: ForeignConfig) -> str:
-    if not flags.key_file:
-        return flags.key
-    try:
-        return (read_text(home(flags.key_file)).splitlines() or [""])[0].strip()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"--key-file {flags.key_file} cannot be read: {error}.") from error
 
 
 def _engine(asked: str, record: ForeignRecord) -> str:

@@ -104,7 +104,7 @@ class RequestReader:
         for t in range(len(state)):
             each = [_seen(pictures[view][t], cameras[view].at(t), size) for view in views]
             moment = {name: np.stack([one[name] for one in each]) for name in each[0]}
-            if not moment["distortion"].any():
+            if not (self._needs_cameras and moment["distortion"].any()):
                 del moment["distortion"]
             moments.append({**moment, "proprio": state[t]})
         asked = self._asked(given.get("prompt"))

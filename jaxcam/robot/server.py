@@ -20,6 +20,7 @@ from websockets.http11 import Request as Handshake
 from websockets.http11 import Response
 
 from jaxcam.client import from_wire, to_wire
+from jaxcam.console.words import plain_line
 from jaxcam.errors import JaxcamError, PortError
 from jaxcam.robot.asked import AskedPolicy
 from jaxcam.robot.batching import Batcher
@@ -114,7 +115,7 @@ class Server:
             words = "The key is missing or wrong: expected Authorization: Api-Key and the key.\n"
             return connection.respond(http.HTTPStatus.UNAUTHORIZED, words)
         if len(self._rows) >= self._limits.clients:
-            words = f"There are {self._limits.clients} clients, and no room for more.\n"
+            words = f"There is room for {_clients(self._limits.clients)}, and not for more.\n"
             return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, words)
         return None
 
@@ -136,7 +137,7 @@ class Server:
                 talk.total_ms = 1e3 * (time.perf_counter() - began)
             why = ""
         except ConnectionClosed as error:
-            why = f" ({error})"
+            why = f" ({plain_line(str(error))})"  # some of it is the client's words
         except TimeoutError:
             why = f" (it took no answer within {SLOW:g} s)"
         finally:

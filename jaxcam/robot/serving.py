@@ -14,7 +14,8 @@ from jaxcam.config.serve import ServeConfig
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
 from jaxcam.evaluation.evaluator import Candidate
-from jaxcam.files.paths import absolute, read_text
+from jaxcam.files.keys import check_key, read_key
+from jaxcam.files.paths import absolute
 from jaxcam.interrupts import interrupts
 from jaxcam.robot.asked import AskedPolicy, load_run
 from jaxcam.robot.averaging import Averaging, check_averages
@@ -158,18 +159,10 @@ def key_of(settings: ServeConfig) -> str:
     Raises:
         ConfigError: The file of the key cannot be read or is empty, or the key is no single word.
     """
-    key = settings.key
     if settings.key_file:
-        file = absolute(settings.key_file)
-        try:
-            key = (read_text(file).splitlines() or [""])[0].strip()
-        except (OSError, ValueError) as error:
-            raise ConfigError(f"--key-file {file} cannot be read: {error}.") from error
-        if not key:
-            raise ConfigError(f"--key-file {file} is empty; its first line is the key.")
-    if not key.isascii() or not key.isprintable() or " " in key:
-        raise ConfigError("A key is one word of ASCII letters, digits and signs.")
-    return key
+        return read_key(absolute(settings.key_file), "--key-file")
+    check_key(settings.key)
+    return settings.key
 
 
 def listen(host: str, port: int, *, has_key: bool) -> socket.socket:
@@ -187,8 +180,9 @@ def listen(host: str, port: int, *, has_key: bool) -> socket.socket:
         family, _, _, _, address = socket.getaddrinfo(
             host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
         )[0]
-    except OSError as error:
-        raise ConfigError(f"--host {host!r}: no such address: {error.strerror}.") from error
+    except (OSError, UnicodeError) as error:  # the last is of a name that none can have
+        why = getattr(error, "strerror", None) or error
+        raise ConfigError(f"--host {host!r}: no such address: {why}.") from error
     if not (has_key or ipaddress.ip_address(str(address[0]).partition("%")[0]).is_loopback):
         raise ConfigError(
             f"--host {host}: others than this machine could ask the policy. Give --key-file (or "
@@ -219,6 +213,8 @@ def main(settings: ServeConfig, console: Console) -> int:
         listen(settings.host, settings.port, has_key=bool(key)) as listening,
     ):
         service = Service.open(settings)
+        if service.needs_cameras:  # any request may come with a lens, which is a program of its own
+            service.policy.warm(lens=True)
 
         def tell(line: str) -> None:
             console.print(line, highlight=False, soft_wrap=True)

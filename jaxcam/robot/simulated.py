@@ -47,6 +47,9 @@ class SimulatedLift:
         if action_space not in get_args(ActionSpace):
             hint = closest(str(action_space), get_args(ActionSpace))
             raise ConfigError(f"robot_settings: unknown action_space {action_space!r}{hint}")
+        if rotations not in get_args(Rotations):
+            hint = closest(str(rotations), get_args(Rotations))
+            raise ConfigError(f"robot_settings: unknown rotations {rotations!r}{hint}")
         if not isinstance(speed, int | float) or not 0 <= speed <= 100:
             raise ConfigError(f"robot_settings: speed must be 0 to 100, got {speed!r}.")
         self.rate, self.speed = RATE, speed
@@ -69,10 +72,20 @@ class SimulatedLift:
             setup: The start.
 
         Raises:
-            ConfigError: The cameras are not calibrated, or are for pictures of several sizes.
+            ConfigError: The cameras are not calibrated, have a lens, or are for pictures of several
+                sizes.
         """
         if not setup.cameras:
             raise ConfigError("The simulated robot films by calibrations: give cameras a file.")
+        if setup.lenses:
+            names = ", ".join(setup.lenses)
+            raise ConfigError(f"The simulated robot films without a lens, and {names} have one.")
+        sizes = {size for _, size, _ in setup.cameras.values()}
+        if len(sizes) > 1:
+            listed = ", ".join(f"{columns}x{rows}" for rows, columns in sorted(sizes))
+            raise ConfigError(
+                f"The simulated robot films at one size, and K is for {listed}. Give K of one size."
+            )
         seed = SPLITS["test"].episodes + setup.start
         start = self._task.start(self._world, seed)
         self._start = type(start)(*(np.asarray(x)[None] for x in start))

@@ -23,6 +23,12 @@ class Halt(Arm):
 
 class Slow(Arm):
     rate = "20"
+
+class Backwards(Arm):
+    speed = -1
+
+class Off(Arm):
+    def __init__(self): raise ConnectionRefusedError("nobody is there")
 """
 
 
@@ -30,6 +36,7 @@ class Slow(Arm):
 def folder(tmp_path, monkeypatch):
     """A folder with a module of robots, which is forgotten afterwards."""
     (tmp_path / "arms_of_a_test.py").write_text(textwrap.dedent(MODULE))
+    (tmp_path / "broken_arms_of_a_test.py").write_text("class Arm")
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.delitem(sys.modules, "arms_of_a_test", raising=False)
     return tmp_path
@@ -48,6 +55,11 @@ def test_a_robot_lies_beside_the_sheet(folder):
         ("arms_of_a_test:Leg", {}, "has no class 'Leg'"),
         ("arms_of_a_test:Arm", {"pi": 1}, "does not take these robot_settings: .*'pi'"),
         ("arms_of_a_test:Halt", {}, "lacks hold. docs/robot.md"),
+        (".arms_of_a_test:Arm", {}, "is no 'module:Class'"),
+        ("sys:Arm", {}, "sys has no class 'Arm'"),
+        ("broken_arms_of_a_test:Arm", {}, "cannot be imported: SyntaxError"),
+        ("arms_of_a_test:Off", {}, "could not be made: ConnectionRefusedError: nobody is there"),
+        ("arms_of_a_test:Backwards", {}, "lacks a speed that is a number from 0 on"),
         ("arms_of_a_test:Slow", {}, "lacks rate, its control steps a second"),
     ],
 )

@@ -74,6 +74,8 @@ def test_a_policy_that_is_told_no_cameras_needs_none():
         read(message)
     [moment] = read(message, needs_cameras=False).moments
     assert moment["K"].shape == (2, 3, 3)
+    [moment] = read(request(camera__front__distortion=LENS), needs_cameras=False).moments
+    assert "distortion" not in moment  # it would be another program, for nothing
 
 
 def test_several_observations_are_stacked_oldest_first():

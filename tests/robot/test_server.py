@@ -162,6 +162,13 @@ def test_health_and_what_is_no_client(url):
     assert get(url, "/healthz") == (200, "OK\n")
 
 
+def test_a_client_that_goes_with_words_writes_no_line_of_its_own(url, lines):
+    with connect(url) as client:
+        client.close(4000, "bye\nServing something else \x1b[31m")
+    assert until(lambda: any("bye" in line for line in lines))
+    assert not any("\n" in line or "\x1b" in line for line in lines)
+
+
 def test_pages_in_a_browser_are_refused(url):
     with pytest.raises(InvalidStatus, match="403"), connect(url, origin=Origin("http://a.com")):
         pass
@@ -170,8 +177,11 @@ def test_pages_in_a_browser_are_refused(url):
 def test_a_key_is_asked_for_in_the_handshake(service):
     with serving(service, key="sesame") as url:
         assert get(url, "/healthz")[0] == 200
-        for key in (None, "sesam", "sesame2", "schlüssel"):
-            with pytest.raises(PortError, match="401"):
+        headers = {"Authorization": "Api-Key schlüssel"}
+        with pytest.raises(InvalidStatus, match="401"):
+            connect(url, additional_headers=headers).close()
+        for key in (None, "sesam", "sesame2"):
+            with pytest.raises(PortError, match=r"401\. It says: The key is missing or wrong"):
                 Client(url, key=key, patience=1)
         with Client(url, key="sesame") as client:
             assert client.infer(linear_request())["actions"].shape == (2, 2)
@@ -179,7 +189,7 @@ def test_a_key_is_asked_for_in_the_handshake(service):
 
 def test_more_clients_than_there_is_room_for_are_turned_away(service):
     with serving(service, limits=Limits(clients=1)) as url:
-        with Client(url), pytest.raises(PortError, match="503"):
+        with Client(url), pytest.raises(PortError, match=r"503\. It says: There is room for 1 client,"):
             Client(url, patience=1)
         assert until(lambda: _comes_in(url))
 

@@ -147,20 +147,28 @@ def test_addresses():
             listen(host, 0, has_key=False)
     with listen("0.0.0.0", 0, has_key=True) as everywhere:
         assert everywhere.getsockname()[0] == "0.0.0.0"
-    with pytest.raises(ConfigError, match="no such address"):
-        listen("256.0.0.1", 0, has_key=True)
+    for host in ("256.0.0.1", "a..b", "a" * 70):
+        with pytest.raises(ConfigError, match="no such address"):
+            listen(host, 0, has_key=True)
     with pytest.raises(ConfigError, match=r"Cannot listen at 192.0.2.1"):
         listen("192.0.2.1", 0, has_key=True)
 
 
-def test_the_command_serves_until_ctrl_c(tmp_path, lift_run, capfd):
+def test_the_command_serves_until_ctrl_c(tmp_path, lift_run, capfd, monkeypatch):
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     file = tmp_path / "cameras.json"
     K, pose = camera(16, 16)
     entry = f'{{"K": {K.tolist()}, "size": [16, 16], "base_from_camera": {pose.tolist()}}}'
     file.write_text(f'{{"format": 1, "views": {{"view_0": {entry}, "spare": {entry}}}}}')
-    shapes = []
+    shapes, warmed, warm = [], [], AskedPolicy.warm
+
+    def warms(policy, *, lens=False):
+        warmed.append(lens)
+        if not lens:  # it would only take its time here
+            warm(policy)
+
+    monkeypatch.setattr(AskedPolicy, "warm", warms)
 
     def ask():
         try:
@@ -176,7 +184,7 @@ def test_the_command_serves_until_ctrl_c(tmp_path, lift_run, capfd):
     client.start()
     code = exit_code("serve", lift_run, "--port", port, "--cameras", file)
     client.join(10)
-    assert (code, shapes) == (130, [(6, 7)])
+    assert (code, shapes, warmed) == (130, [(6, 7)], [False, True])
     shown = capfd.readouterr()
     lines = shown.out.splitlines()
     assert lines[0].endswith("cameras.json: spare not used: the policy's views are view_0.")

@@ -77,10 +77,18 @@ def test_holding_goes_on_to_the_last_target(robot):
 def test_what_it_cannot_do_is_refused(robot):
     with pytest.raises(ConfigError, match="did you mean 'eef_delta'"):
         SimulatedLift(action_space="eef_delt")
+    with pytest.raises(ConfigError, match="unknown rotations 'nominl', did you mean 'nominal'"):
+        SimulatedLift(rotations="nominl")
     with pytest.raises(ConfigError, match="speed must be"):
         SimulatedLift(speed=-1)
     with pytest.raises(ConfigError, match="give cameras a file"):
         robot.prepare(Setup(0, "", "", {}))
+    cameras = scene("1").cameras
+    with pytest.raises(ConfigError, match="without a lens, and first have"):
+        robot.prepare(Setup(0, "", "1", cameras, {"first": np.ones(9)}))
+    K, _, pose = cameras["third"]
+    with pytest.raises(ConfigError, match="at one size, and K is for 60x30, 40x40"):
+        robot.prepare(Setup(0, "", "1", cameras | {"third": (K, (30, 60), pose)}))
     robot.prepare(scene("1"))
     with pytest.raises(ConfigError, match=r"shape \[8\]; eef_delta has 7"):
         robot.act(np.zeros(8))

@@ -1,9 +1,11 @@
 """A rollout that is about to be run, what came of it, and what runs it where we drive the robot."""
 
 import logging
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol, get_args
+from urllib.parse import urlsplit
 
 from jaxcam.client import Client
 from jaxcam.errors import JaxcamError, PortError
@@ -54,7 +56,9 @@ class Attempt:
     def blinded(self, error: Exception) -> str:
         """An error's words without what says who the policy is."""
         letter, entry = f"policy {self.rollout.letter}", self.served.entry
-        return str(error).replace(entry.url, letter).replace(entry.name, letter)
+        names = [entry.url, urlsplit(entry.url).netloc, entry.name]
+        hidden = "|".join(map(re.escape, names))  # as words: a name may be "a"
+        return re.sub(rf"(?<!\w)(?:{hidden})(?!\w)", letter, str(error))
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import Any
 
 from jaxcam.client import Client
 from jaxcam.errors import ConfigError, PortError
-from jaxcam.files.paths import read_text
+from jaxcam.files.keys import read_key
 from jaxcam.robot.driver import Robot
 from jaxcam.robot.trials.sheet import PolicyEntry, Sheet
 
@@ -37,7 +37,8 @@ class Served:
     @property
     def views(self) -> tuple[str, ...]:
         """What it calls what it sees; empty if it does not say."""
-        return tuple(map(str, self.metadata.get("views") or ()))
+        given = self.metadata.get("views")
+        return tuple(map(str, given)) if isinstance(given, list | tuple) else ()
 
     @property
     def views_at_once(self) -> int:
@@ -97,13 +98,7 @@ def ask_policies(sheet: Sheet, folder: Path) -> list[Served]:
 def _key(entry: PolicyEntry, folder: Path) -> str | None:
     if entry.key_file is None:
         return None
-    path = folder / entry.key_file
-    try:
-        return read_text(path).strip()
-    except (OSError, ValueError) as error:
-        raise ConfigError(
-            f"Policy {entry.name!r}: key_file {path} cannot be read: {error}."
-        ) from error
+    return read_key(folder / entry.key_file, f"Policy {entry.name!r}: key_file")
 
 
 def _check_alike(served: Sequence[Served]) -> None:

@@ -43,7 +43,7 @@ class Relay:
         self._attempt: Attempt | None = None
         self._changed = threading.Condition()
         self._first: float | None = None
-        self._fault, self._answers = "", 0
+        self._fault, self._answers, self._is_gone = "", 0, False
         self._loops: set[ServerConnection] = set()
         try:
             self._server = serve(
@@ -65,12 +65,16 @@ class Relay:
         self._thread.start()
 
     def run(self, attempt: Attempt, is_over: Callable[[], bool]) -> Ran:
-        """Let loops ask for one rollout, see `Runner`; its time begins with the first question."""
+        """Let loops ask for one rollout, see `Runner`; its time begins with the first question.
+
+        Where no loop can be connected to the policy it is over: nothing would come any more.
+        """
         with self._changed:
             self._attempt, self._first, self._fault, self._answers = attempt, None, "", 0
+            self._is_gone = False
             self._changed.notify_all()
         try:
-            while not is_over() and not self._has_run(attempt.seconds):
+            while not (is_over() or self._has_run(attempt.seconds) or self._is_gone):
                 time.sleep(_STEP)
         finally:
             with self._changed:
@@ -113,8 +117,10 @@ class Relay:
                     for message in connection:
                         connection.send(self._answer(attempt, client, message))
             except JaxcamError as error:
-                self._fault = attempt.blinded(error)
-                connection.send(self._fault)
+                fault = attempt.blinded(error)
+                if attempt is self._attempt:
+                    self._fault, self._is_gone = fault, True
+                connection.send(fault)
 
     def _answer(self, attempt: Attempt, client: Client, message: str | bytes) -> str | bytes:
         if attempt is not self._attempt:

@@ -137,7 +137,8 @@ class TrialSession:
             for name, c in known.items()
         }
         start = condition.start
-        setup = Setup(start, sheet.starts[start], condition.placement, cameras)
+        lenses = {n: c.optics.distortion for n, c in known.items() if c.optics.distortion.any()}
+        setup = Setup(start, sheet.starts[start], condition.placement, cameras, lenses)
         return Attempt(rollout, served, sight, setup, sheet.seconds), lacking
 
     def _run(self, attempt: Attempt) -> None:

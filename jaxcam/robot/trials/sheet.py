@@ -18,14 +18,15 @@
 """
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
+from jaxcam.client import check_address
 from jaxcam.config.fields import as_record, check_least, check_most, short
-from jaxcam.errors import ConfigError
+from jaxcam.errors import ConfigError, NoServerError
 from jaxcam.files.yaml import read_yaml
 
 MOST = 100_000
@@ -168,9 +169,7 @@ def _named(entry: Any, where: str) -> Mapping[str, Any]:
 
 def _check(sheet: Sheet, where: str) -> None:
     """Refuses what cannot be tried."""
-    for name in ("task", "success", "half"):
-        if not getattr(sheet, name).strip():
-            raise ConfigError(f"{where}: {name} is empty. Say it, for who rates the rollouts.")
+    _spoken(where, sheet)
     if not sheet.policies:
         raise ConfigError(f"{where}: policies is empty. Name at least one.")
     if len(sheet.policies) > 26:
@@ -179,12 +178,12 @@ def _check(sheet: Sheet, where: str) -> None:
         raise ConfigError(f"{where}: starts is empty. Say where the objects are put.")
     _once(f"{where}: policies", "name", [policy.name for policy in sheet.policies])
     _once(f"{where}: policies", "url", [policy.url.rstrip("/") for policy in sheet.policies])
-    for policy in sheet.policies:
-        if urlsplit(policy.url).scheme not in ("ws", "wss"):
-            raise ConfigError(
-                f"{where}: policy {policy.name!r}: url {policy.url!r:.80} is no address of a "
-                "policy server. Expected one such as ws://127.0.0.1:8000."
-            )
+    for i, policy in enumerate(sheet.policies, start=1):
+        _spoken(f"{where}: policy {i}", policy)
+        try:
+            check_address(policy.url)
+        except NoServerError as error:
+            raise ConfigError(f"{where}: policy {policy.name!r}: url {error}") from error
         if policy.execute is not None and policy.execute < 1:
             raise ConfigError(f"{where}: policy {policy.name!r}: execute must be at least 1.")
     _once(f"{where}: starts", "start", sheet.starts)
@@ -197,6 +196,10 @@ def _check(sheet: Sheet, where: str) -> None:
 def _check_cameras(cameras: CamerasEntry, where: str) -> None:
     if not cameras.names:
         raise ConfigError(f"{where}: names is empty. Name the cameras, or leave 'cameras' out.")
+    _spoken(where, cameras)
+    for name in cameras.names:
+        if "/" in name:
+            raise ConfigError(f"{where}: the name {name!r:.80} has a slash. Use dots, or others.")
     _once(where, "name", cameras.names)
     _once(where, "placement", [*map(str, cameras.placements)])
     if cameras.use is not None and not 1 <= cameras.use <= len(cameras.names):
@@ -217,6 +220,24 @@ def _combinations(sheet: Sheet) -> int:
 
 
 def _once(where: str, what: str, names: Sequence[str]) -> None:
-    for name in names:
-        if names.count(name) > 1:
+    for name, count in Counter(name.strip() for name in names).items():
+        if count > 1:
             raise ConfigError(f"{where}: the {what} {name!r:.80} is there twice.")
+
+
+def _spoken(where: str, entry: Sheet | PolicyEntry | CamerasEntry) -> None:
+    """Refuses texts of an entry that say nothing, and names that are more than a line."""
+    for field in fields(entry):
+        value = getattr(entry, field.name)
+        for text in value if isinstance(value, tuple) else (value,):
+            if isinstance(text, str) and not text.strip():
+                raise ConfigError(f"{where}: {field.name} is empty, or has one that is. Say it.")
+            if isinstance(text, str) and field.name not in _TEXTS and not text.isprintable():
+                raise ConfigError(
+                    f"{where}: {field.name} {text!r:.80} has more than one line, or what cannot be "
+                    "printed."
+                )
+
+
+_TEXTS = ("success", "half", "starts", "prompt")
+"""What may have several lines."""

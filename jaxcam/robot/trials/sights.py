@@ -122,9 +122,13 @@ class PolicySight:
     def _named(self, key: str) -> str:
         """What the policy calls an entry; empty if it is of a camera that is not used."""
         for start in (IMAGES, CAMERA):
-            camera, dot, rest = key.removeprefix(start).partition(".")
-            if key.startswith(start) and camera in self.cameras:
-                return f"{start}{self.views[camera]}{dot}{rest}" if camera in self.views else ""
+            if not key.startswith(start):
+                continue
+            of = [n for n in self.cameras if f"{key}.".startswith(f"{start}{n}.")]
+            if of:
+                camera = max(of, key=len)  # names may have dots
+                rest = key[len(start) + len(camera) :]
+                return f"{start}{self.views[camera]}{rest}" if camera in self.views else ""
         return key
 
     def _calibration(self, camera: str, view: str, shape: Sequence[int]) -> dict[str, Any]:
@@ -157,5 +161,7 @@ def views_for(cameras: Sequence[str], views: Sequence[str]) -> dict[str, str]:
     if not views:
         return {camera: camera for camera in cameras}
     same = {camera: camera for camera in cameras if camera in views}
-    rest = iter([view for view in views if view not in same])
-    return {camera: same.get(camera) or next(rest) for camera in cameras}
+    rest = [view for view in views if view not in same]
+    rest += cameras[len(views) :]  # a server that names fewer views than it sees
+    others = iter(rest)
+    return {camera: same.get(camera) or next(others) for camera in cameras}

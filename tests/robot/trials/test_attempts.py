@@ -50,9 +50,9 @@ def never():
     return False
 
 
-def run(robot, act=lambda _: np.zeros((4, 2)), is_over=never, seconds=0.3):
+def run(robot, act=lambda _: np.zeros((4, 2)), is_over=never, seconds=0.3, name="ACT"):
     with socket_server(answering({"weights_sha": "abc"}, act)) as url:
-        served = Served(PolicyEntry("ACT", url), None, {"weights_sha": "abc"})
+        served = Served(PolicyEntry(name, url), None, {"weights_sha": "abc"})
         rollout = Rollout(1, Condition(0, "", (), 3), 0, "B")
         attempt = Attempt(rollout, served, PolicySight(), Setup(3, "", "", {}), seconds)
         return Driven(robot).run(attempt, is_over)
@@ -93,6 +93,8 @@ def test_a_policy_that_fails_ends_it_without_its_name():
 
     robot = Arm()
     assert run(robot, refuse).fault == "policy B refused: no picture"
+    assert run(Arm(), refuse, name="i").fault == "policy B refused: no picture"
+    assert run(Arm(), refuse, name="picture").fault == "policy B refused: no policy B"
     assert robot.done[-1] == "stop"
     assert "not finite" in run(Arm(), lambda _: np.full((1, 2), np.nan)).fault
 

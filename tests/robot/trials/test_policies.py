@@ -31,6 +31,8 @@ def test_what_servers_say_of_themselves(tmp_path):
     one, two = asked(tmp_path, METADATA, {})  # another's server may say nothing
     assert (one.views, one.views_at_once, one.execute) == (("a", "b"), 2, 5)
     assert (two.views, two.views_at_once, two.execute, two.weights_sha) == ((), 0, None, "")
+    [odd] = asked(tmp_path, {"views": 2, "views_at_once": "2", "execute": [5]})
+    assert (odd.views, odd.views_at_once, odd.execute) == ((), 0, None)
 
 
 @pytest.mark.parametrize(
@@ -61,7 +63,7 @@ def test_a_server_that_wants_a_key(tmp_path):
             return connection.respond(401, "no\n")
         return None
 
-    (tmp_path / "key").write_text("secret\n")
+    (tmp_path / "key").write_text("secret\nof the second server\n")
     with socket_server(answering(METADATA, rester), process_request=admit) as url:
         with pytest.raises(PortError, match=r"'p0' of the sheet: .*401.* give key_file"):
             ask_policies(sheet([url]), tmp_path)
@@ -71,6 +73,9 @@ def test_a_server_that_wants_a_key(tmp_path):
             assert client.metadata == METADATA
         entry = PolicyEntry("p0", url, key_file="none")
         with pytest.raises(ConfigError, match=r"key_file .*none cannot be read"):
+            ask_policies(sheet([], policies=(entry,)), tmp_path)
+        (tmp_path / "none").write_text("two words")
+        with pytest.raises(ConfigError, match="one word of ASCII"):
             ask_policies(sheet([], policies=(entry,)), tmp_path)
 
 

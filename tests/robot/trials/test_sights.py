@@ -72,11 +72,26 @@ def test_what_cannot_be_sent_is_told(given, error, words):
         sight().request(given)
 
 
+def test_names_of_cameras_may_have_dots():
+    names = ("arm", "arm.left", "arm.right")
+    views = {"arm.left": "view_0", "arm": "view_1"}
+    given = {f"observation.images.{name}": PICTURE + i for i, name in enumerate(names)}
+    pose = {f"camera.{name}.base_from_camera": np.eye(4) for name in names}
+    request = PolicySight(names, views).request(given | pose)
+    assert set(request) == {
+        f"{a}.view_{i}{b}"
+        for i in (0, 1)
+        for a, b in (("observation.images", ""), ("camera", ".base_from_camera"))
+    }
+    assert request["observation.images.view_0"].max() == 1
+
+
 def test_a_policy_s_own_names_come_first():
     assert views_for(("side", "front"), ("front", "wrist")) == {"side": "wrist", "front": "front"}
     assert views_for(("a", "c"), ("v0", "v1")) == {"a": "v0", "c": "v1"}
     assert views_for(("b", "c"), ("a", "b", "c")) == {"b": "b", "c": "c"}
     assert views_for(("a",), ()) == {"a": "a"}
+    assert views_for(("a", "b"), ("v",)) == {"a": "v", "b": "b"}
 
 
 def test_what_a_file_lacks_is_said(tmp_path):
