@@ -11,9 +11,12 @@ imported. Messages are msgpack over a WebSocket, arrays as openpi's servers and 
 
 import ipaddress
 import math
+import re
+import socket
+import struct
 import time
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from types import TracebackType
 from typing import Any, Self, cast
 from urllib.parse import urlsplit
@@ -32,8 +35,12 @@ from jaxcam.errors import NoServerError, PortError, RefusedError
 
 MOST_BYTES = 64 * 2**20
 """Of one message; two pictures of 1080 x 1920 are 12 MiB."""
+CLOSING = 1.0
+"""Seconds that the end of a connection may take."""
 _KINDS = "biufSU"
 """Kinds of NumPy's types that arrays may have: truth values, numbers and text."""
+_DTYPE = re.compile(rf"[<>|=]?[{_KINDS}][0-9]{{1,6}}")
+"""How NumPy writes those (`dtype.str`)."""
 _MOST_PARTS = 100_000
 """Lists, maps and arrays of a message; each costs its reader far more than the byte that it is."""
 
@@ -107,9 +114,11 @@ def _array(entry: dict[Any, Any]) -> Any:
     if b"__ndarray__" not in entry and b"__npgeneric__" not in entry:
         return entry
     try:
-        dtype = np.dtype(entry[b"dtype"])
-        if dtype.kind not in _KINDS or dtype.subdtype is not None:
-            raise PortError(f"An array of {dtype} is not taken; expected numbers or text.")
+        kind = entry[b"dtype"]
+        # Names of structures are not even parsed: NumPy would do it with Python's own parser.
+        if not isinstance(kind, str) or not _DTYPE.fullmatch(kind):
+            raise PortError(f"An array of {kind!r:.80} is not taken; expected numbers or text.")
+        dtype = np.dtype(kind)
         if b"__npgeneric__" in entry:
             return dtype.type(entry[b"data"])
         shape, data = tuple(entry[b"shape"]), entry[b"data"]
@@ -120,7 +129,7 @@ def _array(entry: dict[Any, Any]) -> Any:
         return np.frombuffer(data, dtype).reshape(shape)
     except PortError:
         raise
-    except (KeyError, TypeError, ValueError, OverflowError, SyntaxError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise PortError(f"An array in the message is damaged: {error}.") from error
 
 
@@ -169,6 +178,14 @@ def _is_here(host: str) -> bool:
         return host == "localhost" or ipaddress.ip_address(host.partition("%")[0]).is_loopback
     except ValueError:
         return False
+
+
+def _limit_sending(connected: socket.socket, seconds: float) -> None:
+    """Ends what is sent to one who has not taken it for so long, where the system can (Linux)."""
+    whole = int(seconds)
+    limit = struct.pack("@ll", whole, max(1, int(1e6 * (seconds - whole))))
+    with suppress(OSError):
+        connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)
 
 
 class Client:
@@ -291,10 +308,12 @@ class Client:
                     max_size=MOST_BYTES,
                     additional_headers=self._headers,
                     open_timeout=max(1.0, self._patience),
+                    close_timeout=CLOSING,
                     proxy=None if _is_here(self._host) else True,
                 )
                 connection = cast(ClientConnection, self._open.enter_context(connecting))
                 self._connection = connection
+                _limit_sending(connection.socket, self._timeout)
                 first = connection.recv(self._timeout)
                 break
             except (InvalidProxy, ImportError) as error:  # of another's kind than can be used
