@@ -189,9 +189,9 @@ def test_an_address_without_a_server_is_told(url):
 
 @pytest.mark.parametrize(
     "url",
-    ["", "ws://", "ws://localhost:abc", "ws://localhost:99999", "ws://[::1", "ws://a..b:1",
-     "ws://x y", "ws://" + "a" * 70, "ws://127.0.0.1:0"],
-)  # fmt: skip
+    ["", "ws://", "ws://x y", "ws://[::1", "ws://a..b:1", "ws://" + "a" * 70, "ws://127.0.0.1:0"]
+    + [f"ws://localhost:{port}" for port in ("abc", "99999", "-1")],
+)
 def test_what_is_no_address_is_refused(url):
     with pytest.raises(PortError, match="is no address of a policy server"):
         Client(url, patience=0.0)

@@ -247,8 +247,8 @@ class _Refuses:
 
 @pytest.mark.parametrize("wrong", [lambda _: None, lambda _: iter([1 / 0]), lambda _: sys.exit(3)])
 def test_an_object_of_all_episodes_that_fails_has_failed_all(monkeypatch, wrong):
-    every = type("Policy", (), {"infer_batch": lambda self, some: wrong(some)})()
-    act = asking(function(monkeypatch, every))
+    broken = type("Policy", (), {"infer_batch": lambda self, some: wrong(some)})()
+    act = asking(function(monkeypatch, broken))
     assert np.isnan(act(OBS, 1, ALL)).all()
     assert len(act.causes) == BATCH
 

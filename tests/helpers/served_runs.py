@@ -39,7 +39,7 @@ TINY = {
 def untrained_run(folder, *, proprio=11, actions=7, **settings):
     """The folder of a run whose only checkpoint is of step 0."""
     config = resolve(TrainConfig(**{**TINY, **settings, "run_dir": str(folder)}), accelerator=False)
-    network = policy_settings(config, "Do it.")
+    network = policy_settings(config, ("Do it.",))
     spec = PolicySpec(
         actions,
         proprio,

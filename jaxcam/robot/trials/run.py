@@ -76,6 +76,12 @@ def _go(path: Path, trial: Trial, console: Console) -> bool:
     served = ask_policies(sheet, path.parent)
     check_weights(planned, trial.rows, served)
     _look_at_cameras(sheet, path.parent, console)
+    if unused := len(sheet.starts) - len({rollout.condition.start for rollout in planned}):
+        console.print(
+            f"Note: {unused} of {len(sheet.starts)} starts are in no rollout: there are fewer "
+            "choices of cameras and placements than starts. Raise 'repeats' for all of them.",
+            highlight=False, soft_wrap=True,
+        )  # fmt: skip
     console.print(
         f"{sheet.task}: {len(planned)} rollouts, {rated} of them done. "
         f"{len(served)} policies, {len(sheet.starts)} starts. Which letter is which policy stands "

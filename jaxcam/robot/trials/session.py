@@ -102,6 +102,9 @@ class TrialSession:
             answer = self.keyboard.ask("  Enter: begin.  b: run the last one again.  q: stop.")
             if answer.lower() in ("b", "back"):
                 return self._back()
+            if answer:  # the robot does not begin to move by a slip of a finger
+                self._say(f"  {answer!r:.80} is neither Enter, b nor q.")
+                continue
             attempt, lacking = self._attempt(rollout)
             if not lacking:
                 return attempt

@@ -222,6 +222,13 @@ def test_a_placement_that_is_not_calibrated_yet_is_waited_for(tmp_path, servers,
     assert "Calibrate the cameras, write it there" in printed
 
 
+def test_starts_that_no_rollout_has_are_told(tmp_path, servers, monkeypatch):
+    small_cameras(tmp_path)
+    starts = [f"On mark {i}." for i in range(9)]  # and three choices in each of two placements
+    path = sheet_for(tmp_path, servers[0], starts=starts)
+    assert "Note: 3 of 9 starts are in no rollout" in run(path, "q\n", monkeypatch)[1]
+
+
 def test_a_server_that_is_not_there(tmp_path, monkeypatch):
     small_cameras(tmp_path)
     monkeypatch.setattr("jaxcam.robot.trials.policies.PATIENCE", 0.0)

@@ -83,6 +83,13 @@ def test_ratings_with_comments_and_what_is_none(tmp_path):
     assert "Start 1: Cup on 1." in printed
 
 
+def test_nothing_but_enter_begins(tmp_path):
+    some = session(tmp_path, ["s", "begin", "", "f"])  # a rating that was typed twice, say
+    assert not some.go()
+    assert outcomes(tmp_path) == [(1, "failure")]
+    assert "'s' is neither Enter, b nor q." in some.console.file.getvalue()
+
+
 def test_it_goes_on_where_it_stopped_until_all_is_done(tmp_path):
     assert not session(tmp_path, ["", "s"]).go()
     assert session(tmp_path, ["", "s"] * 3).go()
