@@ -72,6 +72,7 @@ def run(robot: MyRobot, policy: Client, seconds: float) -> str:
         execute=metadata.get("execute"),
         space=metadata.get("action_space", ""),
         steps=metadata.get("observation_steps", 1),
+        names=metadata.get("action_names", ()),
     )
     pace, until = Pace(RATE), time.monotonic() + seconds
     try:

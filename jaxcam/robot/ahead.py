@@ -73,12 +73,15 @@ class Ahead:
         observe: What the robot sees; called in the caller's thread.
         execute: Steps of a chunk after which the next one is wanted; the whole chunk when None.
         space: The `action_space` of the policy. `eef_delta`, `eef_delta_componentwise` and
-            `joint_delta` are differences, with the gripper's sign last; others are absolute.
+            `joint_delta` are differences; others are absolute. So is the gripper's number, and so
+            is all behind the six of a grip.
         steps: Observations that the policy sees at once. They are of consecutive control steps,
             oldest first, and before the start they are the first one.
         wait: Seconds that a step may wait for an answer that is wanted by now; None has no limit,
             so that nothing is held and nothing is late.
         patience: Seconds that the robot may be without actions.
+        names: The `action_names` of the policy, which say which numbers of `joint_delta` are the
+            gripper's; the last one without.
 
     Raises:
         PortError: By `action`: the policy is gone, refuses, gives what are no actions, or the
@@ -95,9 +98,11 @@ class Ahead:
         steps: int = 1,
         wait: float | None = 0.005,
         patience: float = 2.0,
+        names: Sequence[str] = (),
     ) -> None:
         self._ask, self._observe, self._execute = ask, observe, execute
         self._space, self._wait, self._patience = space, wait, patience
+        self._names = tuple(names)
         self._observed: deque[Mapping[str, Any]] = deque(maxlen=max(1, steps))
         self._chunk = np.zeros((0, 0), np.float32)
         self._next = 0
@@ -179,7 +184,8 @@ class Ahead:
         past = min(len(self._since_asked), len(chunk))
         if past and "_delta" in self._space and past < len(chunk):
             chunk = chunk.copy()
-            chunk[past] = _made_up(self._space, chunk[: past + 1], self._since_asked)
+            moves = _differences(self._space, self._names, chunk.shape[1])
+            chunk[past] = _made_up(self._space, chunk[: past + 1], self._since_asked, moves)
         if self.lateness.executed:  # the first answer may have come from a server not yet warm
             self._gone.append(self._steps_since_asked)
         self._chunk, self._next, self._answer = chunk, past, None
@@ -264,21 +270,33 @@ def _checked(answer: Mapping[str, Any]) -> np.ndarray:
     return actions.astype(np.float32)
 
 
-def _made_up(space: str, chunk: np.ndarray, executed: Sequence[np.ndarray]) -> np.ndarray:
+def _differences(space: str, names: Sequence[str], size: int) -> list[int]:
+    """Which numbers of an action are differences, in a space of those."""
+    if space.startswith("eef"):
+        return list(range(min(6, size)))
+    if len(names) != size:
+        return list(range(size - 1))
+    return [i for i, name in enumerate(names) if "grip" not in name.lower()]
+
+
+def _made_up(
+    space: str, chunk: np.ndarray, executed: Sequence[np.ndarray], moves: Sequence[int]
+) -> np.ndarray:
     """The last difference of a chunk, after others were executed in place of those before it.
 
     Args:
         space: Of the differences.
         chunk: From its first difference to the one that is executed now [n + 1, A].
         executed: What was executed instead of the first n.
+        moves: Which of the A numbers are differences.
     """
     done = np.stack(executed)[: len(chunk) - 1]
     action = chunk[-1].copy()
-    moved = chunk[:, :-1].sum(0) - done[:, :-1].sum(0)
+    moved = chunk.sum(0) - done.sum(0)
     if space == "eef_delta":  # rotations do not add up
         meant, is_at = _turned(chunk[:, 3:6]), _turned(done[:, 3:6])
         moved[3:6] = _rotvec(_product(meant, is_at * [1, -1, -1, -1]))
-    action[:-1] = moved
+    action[list(moves)] = moved[list(moves)]
     return action
 
 

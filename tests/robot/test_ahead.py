@@ -127,6 +127,27 @@ def test_the_robot_ends_on_the_path_that_the_policy_meant(space, size):
     np.testing.assert_allclose(closed[0, 5:], gripper[0, 3:], atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("space", "names", "kept"),
+    [
+        ("eef_delta", tuple("abcdefghi"), [6, 7, 8]),
+        ("joint_delta", ("left_a", "left_gripper", "right_a", "right_gripper"), [1, 3]),
+    ],
+)
+def test_numbers_that_are_no_differences_do_not_add_up(space, names, kept):
+    chunks = np.random.default_rng(1).uniform(0.1, 0.2, (2, 6, len(names)))
+    policy = Slow(iter(chunks))
+    ahead = Ahead(policy, counting(), execute=2, space=space, wait=0.0, names=names)
+    ahead.action()
+    policy.answer()
+    for _ in range(5):
+        ahead.action()
+    policy.answer()
+    action = ahead.action()
+    same = np.isclose(action, chunks[1, 3], atol=1e-6)
+    assert np.flatnonzero(same).tolist() == kept
+
+
 def assert_same_pose(a, b):
     np.testing.assert_allclose(a[:, :3], b[:, :3], atol=1e-5)
     turned = matrix_from_rotvec(a[:, 3:]), matrix_from_rotvec(b[:, 3:])

@@ -162,6 +162,7 @@ class Driven:
     def _ahead(self, attempt: Attempt, client: Client) -> Ahead:
         told_by_server = attempt.served.metadata
         steps, wait = told_by_server.get("observation_steps"), 0.1
+        names = told_by_server.get("action_names")
         if told_by_server.get("chunk") == 1:
             wait = 0.8
         return Ahead(
@@ -172,6 +173,7 @@ class Driven:
             steps=steps if isinstance(steps, int) and steps > 1 else 1,
             # One action alone, as of a server that averages, cannot be asked for ahead.
             wait=wait / (self._robot.rate * self._speed) if self._speed else None,
+            names=[str(name) for name in names] if isinstance(names, list) else (),
         )
 
     @property
