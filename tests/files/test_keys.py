@@ -25,7 +25,7 @@ def test_what_is_no_key_is_refused(tmp_path, content, words):
 
 
 def test_a_file_that_is_not_there(tmp_path):
-    with pytest.raises(ConfigError, match="--key-file .* cannot be read"):
+    with pytest.raises(ConfigError, match=r"--key-file .* cannot be read"):
         read_key(tmp_path / "none", "--key-file")
     with pytest.raises(ConfigError, match="one word"):
         check_key("two words")
