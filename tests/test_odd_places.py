@@ -50,6 +50,8 @@ def commands(demos, tmp_path):
         [*train, "--run-dir", str(tmp_path / "run"), "--weights", "PLACE"],
         ["train", "--steps", "2", "--run-dir", str(tmp_path / "run"), "--dataset", "PLACE"],
         ["evaluate", "PLACE"],
+        ["serve", "PLACE", "--port", "0"],
+        ["trial", "PLACE"],
         ["collect", *few, "--data-dir", "PLACE"],
         ["replay", "PLACE"],
         ["report", "PLACE", "--out", str(tmp_path / "out")],

@@ -74,9 +74,11 @@ def test_chance_is_that_of_rollouts_by_call_and_row():
     asked = AskedPolicy(candidate, 7, WIDTH)
     assert asked.draws
     batch = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
-    acting = Acting(candidate.policy.act)
+    acting, everyone = Acting(candidate.policy.act), np.ones(WIDTH, bool)
     for call in (0, 3):
-        rollouts = np.asarray(acting(candidate.params, jax.random.key(7), batch, jnp.int32(call)))
+        rollouts = np.asarray(
+            acting(candidate.params, jax.random.key(7), batch, jnp.int32(call), everyone)
+        )
         together = asked.chunks([Question(rows[i], call, i) for i in (2, 0)])
         for i, chunk in zip((2, 0), together, strict=True):
             assert chunk.tobytes() == rollouts[i].tobytes()
