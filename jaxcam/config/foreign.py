@@ -104,6 +104,7 @@ class ObsMap:
         observation_steps: Observations that it sees at once, the oldest first.
         answer: Its name for the actions.
         prompt: What it is told to do; the task's own words when None.
+        conditioning: How it is told its camera, a word for reports; none if it is not.
     """
 
     keys: dict[str, Any] | None = None
@@ -113,6 +114,7 @@ class ObsMap:
     observation_steps: int | None = None
     answer: str = "actions"
     prompt: str | None = None
+    conditioning: str | None = None
 
     def __post_init__(self) -> None:
         check_types(self)

@@ -17,7 +17,7 @@ from jaxcam.errors import ConfigError
 from jaxcam.evaluation.mapping import CHANCE, Names, names_of_map, numbered_views, renamed
 from jaxcam.evaluation.sources import PolicySource
 from jaxcam.reports.names import file_name
-from jaxcam.runs.foreign import ForeignRecord
+from jaxcam.runs.foreign import NOT_SAID, ForeignRecord
 from jaxcam.runs.identity import USUAL_SPACE
 from jaxcam.sim import make_task
 from jaxcam.sim.world import PROPRIO_DIM
@@ -50,7 +50,7 @@ def settled(flags: ForeignConfig, wanted: ObsMap, source: PolicySource) -> Forei
         address=source.address,
         task=task,
         scene=flags.scene,
-        conditioning=said.conditioning or "none",
+        conditioning=wanted.conditioning or said.conditioning or _told(wanted),
         views=flags.views or said.at_once or len(said.views or ()) or make_task(task).views,
         resolution=size_name(*rows_and_columns(resolution)),
         action_space=space,
@@ -63,6 +63,13 @@ def settled(flags: ForeignConfig, wanted: ObsMap, source: PolicySource) -> Forei
         metadata=source.metadata,
         weights_sha=source.sha,
     )
+
+
+def _told(wanted: ObsMap) -> str:
+    """What a policy that does not say it is told of its camera: nothing if it is sent nothing."""
+    if wanted.keys is None or "camera." in repr(list(wanted.keys.values())).replace("/", "."):
+        return NOT_SAID
+    return "none"
 
 
 def names_sent(record: ForeignRecord, width: int) -> Names:

@@ -16,6 +16,7 @@ from jaxcam.reports.names import csv_cell
 from jaxcam.results.differences import PairedDifference
 from jaxcam.results.protocol import is_foreign
 from jaxcam.results.stats import by_field, p_text
+from jaxcam.runs.foreign import NOT_SAID
 from jaxcam.runs.identity import plain
 
 NONE = "–"
@@ -266,7 +267,7 @@ def _lines(arms: Sequence[Arm], policy: str, conditioned: bool) -> list[tuple[st
     lines = []
     groups: dict[str, list[Arm]] = {}
     for arm in arms:
-        has_pose = arm.settings["conditioning"] != "none"
+        has_pose = arm.settings["conditioning"] not in ("none", NOT_SAID)
         if arm.settings["policy"] == policy and has_pose == conditioned:
             groups.setdefault(context(arm, "task", *_OF_TASK), []).append(arm)
     for some in groups.values():
@@ -274,10 +275,10 @@ def _lines(arms: Sequence[Arm], policy: str, conditioned: bool) -> list[tuple[st
         for line in zip_longest(*columns.values()):
             by_name = {a.settings["task"]: a for a in line if a is not None}
             first = next(iter(by_name.values()))
-            way = [first.settings["conditioning"]] if conditioned else []
+            way = first.settings["conditioning"]
             words = [
                 "foreign" if is_foreign_arm(first) else "ours",
-                *way,
+                *([f"camera {way}"] if way == NOT_SAID else [way] if conditioned else []),
                 first.label(*_OF_TASK),
                 *_steps([*by_name.values()]),
             ]

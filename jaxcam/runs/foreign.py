@@ -21,6 +21,8 @@ from jaxcam.files.whole import write_atomically
 from jaxcam.runs.identity import Settings
 
 FILE = "foreign.json"
+NOT_SAID = "not said"
+"""The conditioning of a policy that is sent its cameras and does not say what it does with them."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,7 @@ class ForeignRecord:
         address: Of the server, or of the function.
         task: What it had to do.
         scene: In which scene.
-        conditioning: How it is given its camera, as it says; "none" if it does not.
+        conditioning: How it is given its camera, as it says; `NOT_SAID` if it does not.
         views: Cameras that it sees at once.
         resolution: Size of its pictures.
         action_space: What its actions mean.

@@ -86,7 +86,7 @@ def test_a_server_in_pytorch_and_the_same_in_python_give_the_same_rows(tmp_path,
     apart = ("run", "weights_sha")
     assert without(served, *apart) == without(local, *apart)
     assert [(row.policy, row.conditioning, row.step, row.seed) for row in served[:1]] == [
-        ("theirs", "none", 0, None)
+        ("theirs", "not said", 0, None)
     ]
     assert [row.steps for row in served] == [HORIZON] * WIDTH
     page = (tmp_path / "served" / "report.html").read_text("utf-8")

@@ -33,7 +33,22 @@ def test_what_nobody_says_is_the_usual():
     assert (record.name, record.task, record.scene) == ("localhost-8000", "lift", "randomized")
     assert (record.views, record.resolution, record.action_space) == (1, 84, "eef_delta")
     assert (record.execute, record.observation_steps, record.prompt) == (None, 1, "Lift the cube")
-    assert record.conditioning == "none"
+    assert record.conditioning == "not said"
+
+
+@pytest.mark.parametrize(
+    ("keys", "expected"),
+    [
+        ({"image": "observation.images.view_0"}, "none"),
+        ({"image": "observation.images.view_0", "K": "camera.view_0.intrinsics"}, "not said"),
+        ({"pose": "camera/view_0/base_from_camera"}, "not said"),
+    ],
+)
+def test_who_is_sent_no_camera_is_told_none(keys, expected):
+    """One that is sent its camera and says nothing is not taken for one that sees images only."""
+    assert agreed(ObsMap(keys=keys)).conditioning == expected
+    assert agreed(ObsMap(keys=keys), {"conditioning": "late"}).conditioning == "late"
+    assert agreed(ObsMap(keys=keys, conditioning="token"), SAID).conditioning == "token"
 
 
 def test_a_server_says_what_it_wants_and_is_known_by():

@@ -16,10 +16,15 @@ from jaxcam.reports.packs.pack import Pack
 from jaxcam.reports.tables import NONE
 from jaxcam.results.differences import PairedDifference
 from jaxcam.results.stats import Estimate, p_text
+from jaxcam.runs.foreign import NOT_SAID
 
 MOST = 200
 """Settings of one task on a page: each is compared with each other one."""
-_POSES = {"none": "image only", "given": "told the camera"}
+_POSES = {
+    "none": "image only",
+    "given": "told the camera",
+    NOT_SAID: "sent the camera, use not said",
+}
 
 
 @dataclass(frozen=True)
