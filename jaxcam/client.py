@@ -33,6 +33,8 @@ from websockets.sync.client import ClientConnection, connect
 
 from jaxcam.errors import NoServerError, PortError, RefusedError
 
+IMAGES, STATE, CAMERA, PROMPT = "observation.images.", "observation.state", "camera.", "prompt"
+"""What names of an observation's entries are, or begin with; `docs/serving.md` has them all."""
 MOST_BYTES = 64 * 2**20
 """Of one message; two pictures of 1080 x 1920 are 12 MiB."""
 CLOSING = 1.0

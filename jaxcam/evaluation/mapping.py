@@ -13,13 +13,13 @@ from typing import Any, cast
 import numpy as np
 import yaml
 
+from jaxcam.client import CAMERA, IMAGES, PROMPT, STATE
 from jaxcam.config.fields import as_record, short
 from jaxcam.config.foreign import ObsMap
 from jaxcam.errors import ConfigError, closest
 from jaxcam.files.paths import home
 from jaxcam.files.yaml import read_yaml
 
-STATE, PROMPT = "observation.state", "prompt"
 CHANCE = ("call", "row")
 """Number of the question in its episode, and of the episode in its batch: what chance depends on,
 where a policy draws it as ours do."""
@@ -76,8 +76,7 @@ def write_map(file: Path, wanted: ObsMap) -> None:
 def our_names(views: Sequence[str]) -> list[str]:
     """The names of our entries, with these names of views."""
     of_views = [
-        (f"observation.images.{v}", f"camera.{v}.intrinsics", f"camera.{v}.base_from_camera")
-        for v in views
+        (f"{IMAGES}{v}", f"{CAMERA}{v}.intrinsics", f"{CAMERA}{v}.base_from_camera") for v in views
     ]
     return [*(name for names in of_views for name in names), STATE, PROMPT]
 
@@ -171,9 +170,9 @@ def observation_sent(
     ours: dict[str, Any] = {STATE: np.array(state, np.float32), PROMPT: prompt}
     ours |= zip(CHANCE, (call, episode), strict=True)
     for v, name in enumerate(numbered_views(len(K))):
-        ours[f"observation.images.{name}"] = np.array(image[v])
-        ours[f"camera.{name}.intrinsics"] = np.array(K[v], np.float32)
-        ours[f"camera.{name}.base_from_camera"] = np.array(pose[v], np.float32)
+        ours[f"{IMAGES}{name}"] = np.array(image[v])
+        ours[f"{CAMERA}{name}.intrinsics"] = np.array(K[v], np.float32)
+        ours[f"{CAMERA}{name}.base_from_camera"] = np.array(pose[v], np.float32)
     return ours
 
 

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, get_args
 
+from jaxcam.client import CAMERA
 from jaxcam.config.fields import as_record
 from jaxcam.config.foreign import ForeignConfig, ObsMap
 from jaxcam.config.names import ActionSpace, PolicyName, Rotations, TaskName
@@ -67,7 +68,7 @@ def settled(flags: ForeignConfig, wanted: ObsMap, source: PolicySource) -> Forei
 
 def _told(wanted: ObsMap) -> str:
     """What a policy that does not say it is told of its camera: nothing if it is sent nothing."""
-    if wanted.keys is None or "camera." in repr(list(wanted.keys.values())).replace("/", "."):
+    if wanted.keys is None or CAMERA in repr(list(wanted.keys.values())).replace("/", "."):
         return NOT_SAID
     return "none"
 

@@ -28,6 +28,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from jaxcam.client import CAMERA, IMAGES, STATE
 from jaxcam.errors import PortError
 
 Observe = Callable[[], Mapping[str, Any]]
@@ -38,7 +39,7 @@ Ask = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 _REMEMBERED = 5
 """Answers whose slowest says how early the next one is asked for."""
 _FAREWELL = 1.0
-_STACKED = ("observation.images.", "observation.state", "camera.")
+_STACKED = (IMAGES, STATE, CAMERA)
 """What names of observations begin with that policies see several of."""
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxcam.client import IMAGES, PROMPT, STATE
 from jaxcam.data.recorded.fitting import fit
 from jaxcam.data.recorded.parts import unknown
 from jaxcam.errors import CameraError, PortError, closest
@@ -20,7 +21,6 @@ from jaxcam.rays.lens import PACKED
 from jaxcam.robot.rig import FixedCamera, Rig
 from jaxcam.runs.interface import Interface
 
-IMAGES, STATE = "observation.images.", "observation.state"
 LARGEST_SIDE = 4096
 """Of a picture (pixels)."""
 MOST_CALLS = 2**31 - 1
@@ -71,7 +71,7 @@ class RequestReader:
         self._needs_cameras, self._prompts = needs_cameras, [p.strip() for p in prompts]
         self._rig = rig or Rig({})
         self._state_names = interface.state_names
-        names = [IMAGES + view for view in self._views] + [STATE, "prompt", "call", "row"]
+        names = [IMAGES + view for view in self._views] + [STATE, PROMPT, "call", "row"]
         names += [f"camera.{v}.{what}" for v in self._views for what in _CAMERA]
         self._known = {_dotted(name): name for name in names}
         self._expected = names

@@ -9,6 +9,7 @@ from typing import Any, get_args
 
 import numpy as np
 
+from jaxcam.client import IMAGES, STATE
 from jaxcam.config.names import ActionSpace, Rotations, SceneName
 from jaxcam.data.splits import SPLITS
 from jaxcam.errors import ConfigError, closest
@@ -103,9 +104,9 @@ class SimulatedLift:
         """Pictures of all cameras, and what the arm feels."""
         state = self._running()
         pictures = zip(self._cameras, self._pictures(state), strict=True)
-        observation: dict[str, Any] = {f"observation.images.{name}": x for name, x in pictures}
+        observation: dict[str, Any] = {f"{IMAGES}{name}": x for name, x in pictures}
         felt = self._world.proprio(state.qpos, state.grip_position)
-        return observation | {"observation.state": felt[0]}
+        return observation | {STATE: felt[0]}
 
     def act(self, action: np.ndarray) -> None:
         """Execute an action for one control step."""

@@ -20,7 +20,8 @@ from jaxcam.errors import ConfigError
 from jaxcam.sim.actions import decode, encode, is_absolute, is_joint
 
 AGREE_M, AGREE_RAD = 0.1, 0.3
-"""What the state says and the first target are this near, or they are not in the same frame."""
+"""What the state says of the grip and the first target are this near, or they are not in the same
+frame."""
 NEAR = 0.5
 """Deviations of what is felt within which most commands are that say where to be."""
 _Form = Literal["rotation vector", "Euler angles"]
@@ -207,7 +208,9 @@ def _starts(recording: Recording, poses: _Poses, meaning: ActionMeaning) -> np.n
         first = np.stack([e.action[0, list(poses.action)] for e in recording.episodes])
         first = _as_vectors(first, poses.form[0])
         if is_joint(meaning):
-            far = np.abs(first - measured).max(-1) > AGREE_RAD
+            # In radians, degrees or steps of a motor: by how far the joints move.
+            felt = np.concatenate([e.state[:, list(poses.state)] for e in recording.episodes])
+            far = np.abs(first - measured).max(-1) > NEAR * felt.std(0).max()
         else:
             turn = Rotation.from_rotvec(first[:, 3:]) * Rotation.from_rotvec(measured[:, 3:]).inv()
             away = np.linalg.norm(first[:, :3] - measured[:, :3], axis=-1)

@@ -7,12 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from jaxcam.client import CAMERA, IMAGES
 from jaxcam.errors import ConfigError, PortError, closest
 from jaxcam.interop.cameras.files import CamerasFile, Entry, read_cameras
 from jaxcam.interop.cameras.optics import Optics
-
-IMAGES = "observation.images."
-CAMERA = "camera."
 
 
 @dataclass(frozen=True)

@@ -92,6 +92,17 @@ def test_joints_become_moves_and_back():
         np.testing.assert_allclose(new.action, old.action, atol=1e-5)
 
 
+def test_joints_in_degrees_count_from_what_was_measured():
+    before = joints()
+    for episode in before.episodes:
+        episode.state[:] = np.rad2deg(episode.state)
+        episode.action[:, :6] = np.rad2deg(episode.action[:, :6])
+    moves = in_space(before, "joint_abs", "joint_delta")
+    for old, new in zip(before.episodes, moves.episodes, strict=True):
+        np.testing.assert_allclose(new.action[0, :6], old.action[0, :6] - old.state[0], atol=1e-4)
+        assert np.abs(new.action[0, :6]).max() > 0.3
+
+
 @pytest.mark.parametrize(
     "recording",
     [grips(state_turns=("a", "b", "c")), grips(offset=0.5), joints(tuple("abcdef"))],
