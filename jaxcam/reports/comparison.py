@@ -17,7 +17,7 @@ from jaxcam.errors import ConfigError
 from jaxcam.files.paths import absolute
 from jaxcam.files.whole import check_free, write_atomically
 from jaxcam.reports import paper
-from jaxcam.reports.arms import Arm, Run, group
+from jaxcam.reports.arms import Arm, Run, context, group
 from jaxcam.reports.camera_figures import rate_by_camera
 from jaxcam.reports.document import (
     Block,
@@ -45,7 +45,6 @@ from jaxcam.reports.style import save
 from jaxcam.reports.tables import (
     by_task,
     cells,
-    context,
     foreign_table,
     gains_table,
     is_of_table,
@@ -53,6 +52,7 @@ from jaxcam.reports.tables import (
     table_one,
     to_csv,
     twins_of,
+    without_twins,
 )
 from jaxcam.results.protocol import protocol_of
 from jaxcam.runs.action_errors import read_errors
@@ -134,12 +134,14 @@ def _main(arms: Sequence[Arm], out: Path) -> list[Block]:
     blocks: list[Block] = [Heading("With and without the camera pose"), table_one(arms)]
     if table := gains_table(arms):
         blocks += [Heading("Paired differences"), table]
+    blocks += [Text(sentence, warns=True) for sentence in without_twins(arms)]
     if table := foreign_table(arms):
         blocks += [Heading("Policies of others"), table]
-    if twins := [some for some in twins_of(arms) if is_of_table(some[0])]:
+    twins = [(a, b.arm) for a, b in twins_of(arms) if b.is_twin and is_of_table(a)]
+    if twins:
         path = save(rates_and_gains(twins), out / "figures" / "gains.png")
         caption = (
-            "Grey: image only. Hollow points: fewer rollouts than the protocol asks for. Diamonds: "
+            "Grey: the twin, image only. Hollow points: fewer rollouts than the protocol asks for. Diamonds: "
             "the paper. n: rollouts with and without the camera pose."
         )
         blocks.append(Picture(_relative(path, out), caption))
@@ -207,7 +209,7 @@ def _by_conditioning(arms: Sequence[Arm]) -> dict[str, list[Arm]]:
 def _caption(arm: Arm) -> str:
     s = arm.settings
     policy, task = paper.policy_title(s["policy"]), paper.task_title(s["task"])
-    return f"{policy} on {task}, {s['scene']} scene, {arm.label()}."
+    return f"{policy} on {task}, {s['scene']} scene, {arm.label('conditioning')}."
 
 
 def _videos(runs: Sequence[Run], out: Path) -> Mapping[str, list[Link]]:

@@ -20,7 +20,7 @@ from jaxcam.reports.arms import group
 from jaxcam.reports.comparison import main as comparison_main
 from jaxcam.reports.comparison import write_comparison
 from jaxcam.reports.reading import read_runs
-from jaxcam.reports.tables import gains_table
+from jaxcam.reports.tables import gains_table, table_one
 from jaxcam.results.actions import ActionErrors
 from jaxcam.runs.action_errors import errors_file
 
@@ -48,6 +48,7 @@ def test_a_report_is_whole(runs, tmp_path):
         none, late = sorted(csv.DictReader(file), key=lambda r: r["conditioning"] != "none")
     assert (float(none["success"]), float(none["paper"]), none["gain"]) == (0.25, 0.336, "")
     assert (late["gain"], late["gain_pairs"], late["rollouts"]) == ("0.5000", "8", "8")
+    assert (late["gain_over"], none["gain_over"]) == ("its twin", "")
     assert late["lacks"] == "1 of 3 seeds; 1 of 10 checkpoints; 8 of 50 pairs"
 
 
@@ -72,7 +73,10 @@ def test_rows_alone_are_shown_as_far_as_they_tell(runs, tmp_path):
     (folder / "rows.jsonl").write_text("".join(lines))
     arms = arms_of(folder)
     assert {arm.label() for arm in arms} == {"settings not recorded"}
-    assert gains_table(arms).rows[0][5].startswith("+50.0")
+    (gain,) = gains_table(arms).rows
+    assert gain[4] == "image only, not known to be its twin"
+    assert gain[6].startswith("+50.0")
+    assert not any("(+50.0)" in cell for row in table_one(arms).rows for cell in row)
     write_comparison(read_runs([folder]), tmp_path / "out")
 
 
@@ -138,3 +142,14 @@ def test_runs_on_recorded_data_show_errors_of_their_actions(runs, tmp_path, caps
     text = (tmp_path / "out" / "report.md").read_text()
     assert "| cups | new cameras | 5°, 5 cm off | 0.40 [0.40, 0.40] | 2 |" in text
     assert "0.90" not in text
+
+
+def test_an_image_only_run_of_another_network_is_no_twin(tmp_path):
+    make_run(tmp_path / "none", rate=0.25, conditioning="none")  # the twin of keypoints
+    make_run(tmp_path / "late", rate=0.75, conditioning="late")
+    write_comparison(read_runs([tmp_path]), tmp_path / "out")
+    text = (tmp_path / "out" / "report.md").read_text()
+    assert "+50.0" not in text
+    assert "another network (twin of keypoints)" in text
+    assert "--conditioning none --model twin_of=late" in text
+    assert not (tmp_path / "out" / "figures" / "gains.png").exists()

@@ -139,7 +139,9 @@ class SmolVla(nnx.Module):
         self.time_out = linear(expert, expert, rngs=rngs, dtype=dtype)
         self.action_out = linear(expert, config.actions(spec), rngs=rngs, dtype=jnp.float32)
         keyframes = 3 * spec.chunk if config.keyframe_weight else 0
-        self.keyframe = linear(width, keyframes, rngs=rngs, dtype=jnp.float32) if keyframes else None
+        self.keyframe = (
+            linear(width, keyframes, rngs=rngs, dtype=jnp.float32) if keyframes else None
+        )
 
     def prefix(self, obs: Obs, state: jax.Array) -> Prefix:
         """Read images, cameras, the prompt and the normalised state [B, state_width]."""
