@@ -141,8 +141,8 @@ def _main(arms: Sequence[Arm], out: Path) -> list[Block]:
     if twins:
         path = save(rates_and_gains(twins), out / "figures" / "gains.png")
         caption = (
-            "Grey: the twin, image only. Hollow points: fewer rollouts than the protocol asks for. Diamonds: "
-            "the paper. n: rollouts with and without the camera pose."
+            "Grey: the twin, image only. Hollow points: fewer rollouts than the protocol asks for. "
+            "Diamonds: the paper. n: rollouts with and without the camera pose."
         )
         blocks.append(Picture(_relative(path, out), caption))
     return blocks

@@ -101,8 +101,8 @@ def gains_table(arms: Sequence[Arm]) -> Table | None:
             "Rollouts")  # fmt: skip
     caption = (
         "Gain of camera conditioning in points over the twin, which is the same network, trained "
-        "alike and fed with the pose of one camera that never changes: mean over the pairs that both policies were "
-        "evaluated on, with 95 % interval over pairs and the p-value of the same test (Student's t "
+        "alike and fed with the pose of one camera that never changes: mean over the pairs that "
+        "both policies were evaluated on, with 95 % interval over pairs and the p-value of the same test (Student's t "
         "with two pairs added), and beside it what several seeds give."
     )
     return Table(caption, head, rows) if rows else None

@@ -11,8 +11,8 @@ A file has these entries:
       - {task: lift, conditioning: [late, keypoints], twins: true}
     slurm: {timeout_min: 480}    # for submitit, where runs are sent to a cluster
 
-With `twins`, each run that is told its cameras brings its own image-only twin: the same network, fed
-with one fixed pose. That is what its gain is counted from.
+With `twins`, each run that is told its cameras brings its own image-only twin: the same network,
+fed with one fixed pose. That is what its gain is counted from.
 
 A run's folder is named by its settings, not by the file, so files that share runs train them once.
 """

@@ -127,10 +127,12 @@ class SmolVla(nnx.Module):
             for i in range(config.layers)
         )
         self.norm = rms_norm(expert, rngs=rngs, dtype=dtype)
-        self.fusion = None
-        if self.vision is not None and config.network == "late":
-            grid, cells = self.vision.grid, -(-spec.height // 32)
-            self.fusion = RayFusion(config.vision_width, grid, cells, rngs=rngs, dtype=dtype)
+        cells = -(-spec.height // 32)
+        self.fusion = (
+            RayFusion(config.vision_width, self.vision.grid, cells, rngs=rngs, dtype=dtype)
+            if self.vision is not None and config.network == "late"
+            else None
+        )
         token = config.network == "token"
         self.pose = linear(16, width, rngs=rngs, dtype=dtype) if token else None
         self.state = linear(config.state_width, width, rngs=rngs, dtype=dtype)
