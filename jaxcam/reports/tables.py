@@ -14,7 +14,7 @@ from jaxcam.reports.document import Link, Table
 from jaxcam.reports.names import csv_cell
 from jaxcam.results.differences import PairedDifference
 from jaxcam.results.protocol import is_foreign
-from jaxcam.results.stats import by_field, p_text
+from jaxcam.results.stats import by_field, gap_between, p_text, success_rate
 from jaxcam.runs.foreign import NOT_SAID
 from jaxcam.runs.identity import plain
 
@@ -63,7 +63,9 @@ def table_one(arms: Sequence[Arm]) -> Table:
         for conditioned in (False, True):
             rules += [len(rows)] if not conditioned else []
             title = f"{name}\nw. conditioning" if conditioned else name
-            rows.append([title, "paper", *(_paper_cell(policy, t, conditioned) for t in tasks)])
+            rows.append(
+                [title, "paper", *(paper.table_cell(policy, t, conditioned) for t in tasks)]
+            )
             for source, line in _lines(shown, policy, conditioned):
                 rows.append(["", source, *(_rate_cell(line.get(t), base) for t in tasks)])
     for policy in dict.fromkeys(a.settings["policy"] for a in shown if is_foreign_arm(a)):
@@ -102,8 +104,8 @@ def gains_table(arms: Sequence[Arm]) -> Table | None:
     caption = (
         "Gain of camera conditioning in points over the twin, which is the same network, trained "
         "alike and fed with the pose of one camera that never changes: mean over the pairs that "
-        "both policies were evaluated on, with 95 % interval over pairs and the p-value of the same test (Student's t "
-        "with two pairs added), and beside it what several seeds give."
+        "both policies were evaluated on, with 95 % interval over pairs and the p-value of the "
+        "same test (Student's t with two pairs added), and beside it what several seeds give."
     )
     return Table(caption, head, rows) if rows else None
 
@@ -140,6 +142,38 @@ def foreign_table(arms: Sequence[Arm]) -> Table | None:
         "points."
     )
     return Table(caption, head, rows, rules, folded=len(rows) > 40) if rows else None
+
+
+def seen_table(arms: Sequence[Arm], seen: Sequence[Arm]) -> Table | None:
+    """Success on cameras that training saw and on held-out ones, in columns of their own.
+
+    Args:
+        arms: With their rows on held-out pairs.
+        seen: With their rows on new starts and cameras that training saw; of the same checkpoints
+            both are shown.
+    """
+    base, rows = ImageOnlyArms(seen), list[list[str]]()
+    held_out = {context(arm): arm for arm in arms}
+    for arm in (a for some in by_task(seen).values() for a in some if a.estimate.n):
+        steps = {row.step for row in arm.rows}
+        others = [r for r in getattr(held_out.get(context(arm)), "rows", []) if r.step in steps]
+        memory, result = arm.estimate, success_rate(others)
+        gap = gap_between(result, memory) if result.n else None
+        rows.append([
+            paper.policy_title(arm.settings["policy"]), _task(arm), arm.way,
+            arm.label("conditioning"), _rate(memory.value, memory.low, memory.high),
+            f"{memory.n}", _rate(result.value, result.low, result.high), f"{result.n}",
+            "{:+.1f} [{:+.1f}, {:+.1f}]".format(*(100 * x for x in gap)) if gap else NONE,
+            _over(arm, base.of(arm)),
+        ])  # fmt: skip
+    head = ("Policy", "Task", "Conditioning", "Settings", "Seen cameras", "Rollouts",
+            "Held-out cameras", "Rollouts", "Difference", "Seen, over its twin")  # fmt: skip
+    caption = (
+        "Memory: success on new initial states seen by cameras of the training demonstrations. It "
+        "is no result. Beside it the same checkpoints on held-out cameras: other pairs, so that "
+        "their difference is not paired (its interval is Newcombe's). That to the twin is."
+    )
+    return Table(caption, head, rows) if rows else None
 
 
 def is_foreign_arm(arm: Arm) -> bool:
@@ -307,14 +341,6 @@ def _task(arm: Arm) -> str:
 
 def _papers_way(policy: str) -> str | None:
     return paper.CONDITIONING.get(policy)
-
-
-def _paper_cell(policy: str, task: str, conditioned: bool) -> str:
-    value = paper.success(policy, task, conditioned)
-    if value is None:
-        return NONE
-    image_only = paper.success(policy, task, False) or 0.0
-    return f"{value:.1f}" + (f" ({value - image_only:+.1f})" if conditioned else "")
 
 
 def _paper_gain(arm: Arm) -> str:
