@@ -112,7 +112,7 @@ def rays(sizes: Sizes, peak: float | None) -> None:
 
 
 def circles(state: State, steps: int) -> Command:
-    """Circles of 5 cm with the hand opening and closing, each world at its own phase [B, T, ...]."""
+    """Circles of 5 cm, the hand opening and closing, each world at its own phase [B, T, ...]."""
     pose = np.concatenate([state.grip_position, rotvec_from_matrix(state.grip_rotation)], -1)
     angle = np.arange(steps)[None] / 8 + np.arange(len(pose))[:, None]
     target = np.repeat(np.asarray(pose)[:, None], steps, 1)

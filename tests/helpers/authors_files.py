@@ -27,8 +27,13 @@ SCALES = np.repeat([0.5, 2.0], 3)
 def model_of(task):
     """The MJCF of the authors' environment."""
     import robosuite.models as models
-    from robosuite.models.objects import BoxObject, CanObject, CompositeBodyObject, CylinderObject
-    from robosuite.models.objects import SquareNutObject
+    from robosuite.models.objects import (
+        BoxObject,
+        CanObject,
+        CompositeBodyObject,
+        CylinderObject,
+        SquareNutObject,
+    )
 
     robot = models.robots.Panda()
     robot.add_base(models.bases.robot_base_factory(robot.default_base, idn=0))
@@ -84,7 +89,9 @@ def flat_states(xml, demo, scene, task):
     poses = dict(zip((*SHEETS[task], "VisualCan"), start.fixtures, strict=False))
     for name, pose in poses.items():
         at = model.joint(f"{name}_joint0").qposadr[0]
-        qpos[:, at : at + 7] = pose + [*shift[:2], shift[2] + 0.01, 0, 0, 0, 0]
+        qpos[:, at : at + 7] = pose
+        qpos[:, at : at + 3] += shift
+        qpos[:, at + 2] += 0.01  # the ghost hangs as high as the can falls from
     return np.column_stack([np.arange(len(qpos)) / 20, qpos, qvel])
 
 

@@ -153,3 +153,34 @@ def test_an_image_only_run_of_another_network_is_no_twin(tmp_path):
     assert "another network (twin of keypoints)" in text
     assert "--conditioning none --model twin_of=late" in text
     assert not (tmp_path / "out" / "figures" / "gains.png").exists()
+
+
+def test_memory_stands_beside_generalisation_and_in_no_number_with_it(tmp_path):
+    """Success on cameras that training saw, of an arm and of its twin."""
+    folder, out = tmp_path / "runs", tmp_path / "out"
+    twin = {"conditioning": "none", "model": ("twin_of=late",)}
+    for name, held_out, seen, settings in (
+        ("none", 0.25, 0.5, twin), ("late", 0.5, 1.0, {"conditioning": "late"})
+    ):  # fmt: skip
+        made = make_run(folder / name, rate=seen, split="train", **settings)
+        rows = made / "eval" / "rows.jsonl"
+        seen_rows = rows.read_text()
+        shutil.rmtree(made)
+        make_run(made, rate=held_out, **settings)
+        rows.write_text(rows.read_text() + seen_rows)
+    assert exit_code("report", folder, "--out", out) == 0
+    text = (out / "report.md").read_text()
+    (line,) = [row for row in text.splitlines() if "| late |" in row and "100.0 [" in row]
+    cells = [cell.strip() for cell in line.strip("|").split("|")]
+    assert cells[4].startswith("100.0 [")
+    assert cells[6].startswith("50.0 [")
+    assert cells[8].startswith("-50.0 [")
+    assert cells[9].startswith("+50.0 [")
+    gains = [row for row in text.splitlines() if "its twin" in row]
+    assert not any("100.0" in row for row in gains)
+    assert all("| 8 |" in row for row in gains)  # pairs, of held-out cameras alone
+    # The report keeps both, and says the same when it is read again.
+    assert exit_code("report", out, "--out", tmp_path / "again") == 0
+    assert (tmp_path / "again" / "report.md").read_text() == text
+    with pytest.raises(ConfigError, match="would be lost"):
+        write_comparison(read_runs([folder]), out)
