@@ -1,4 +1,4 @@
-"""benchmarks/gpu.py at a toy's size on a CPU: every section runs, and one that fails stops no other."""
+"""benchmarks/gpu.py at a toy's size on a CPU: all sections run, and one that fails stops no other."""
 
 import json
 import os

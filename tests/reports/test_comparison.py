@@ -16,6 +16,7 @@ from web_page import Page
 
 from jaxcam.config.commands import ReportConfig
 from jaxcam.console.terminal import Terminal
+from jaxcam.errors import ConfigError
 from jaxcam.reports.arms import group
 from jaxcam.reports.comparison import main as comparison_main
 from jaxcam.reports.comparison import write_comparison
