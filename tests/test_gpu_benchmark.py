@@ -1,4 +1,4 @@
-"""benchmarks/gpu.py at a toy's size on a CPU: all sections run, and one that fails stops no other."""
+"""The GPU's benchmark at a toy's size on a CPU: all of it runs, and what fails stops nothing."""
 
 import json
 import os

@@ -4,6 +4,7 @@ import csv
 import io
 import math
 import textwrap
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import zip_longest
 from typing import Any
@@ -32,19 +33,21 @@ def twins_of(arms: Sequence[Arm]) -> list[tuple[Arm, ImageOnly]]:
 
 
 def without_twins(arms: Sequence[Arm]) -> list[str]:
-    """What is said of arms whose image-only runs are of another network; an arm a sentence."""
-    image_only, words = ImageOnlyArms(arms), list[str]()
-    for arm in (a for some in by_task(arms).values() for a in some if a.estimate.n):
-        if others := sorted({"no twin" if o.way == "none" else o.way
-                             for o in image_only.others(arm) if o.estimate.n}):  # fmt: skip
-            s = arm.settings
-            words.append(
-                f"No gain is shown of {paper.policy_title(s['policy'])}, {s['conditioning']}, on "
-                f"{_task(arm)} ({arm.label()}): the image-only runs are of another network "
-                f"({', '.join(others)}). Its twin is trained with --conditioning none --model "
-                f"twin_of={s['conditioning']}."
-            )
-    return words
+    """What is said of arms whose image-only runs are of another network; no gain is shown there."""
+    image_only, found = ImageOnlyArms(arms), dict[tuple[str, str], set[str]]()
+    count = Counter[tuple[str, str]]()
+    for arm in (arm for arm in arms if arm.estimate.n):
+        if others := {other.way for other in image_only.others(arm) if other.estimate.n}:
+            kind = arm.settings["policy"], arm.settings["conditioning"]
+            found.setdefault(kind, set()).update(others)
+            count[kind] += 1
+    return [
+        f"No gain is shown of {paper.policy_title(policy)}, {way}, in {count[policy, way]} "
+        f"{'settings' if count[policy, way] > 1 else 'setting'}: the image-only runs are of "
+        f"another network ({', '.join(sorted(others))}). The twin is trained with --conditioning "
+        f"none --model twin_of={way}."
+        for (policy, way), others in found.items()
+    ]
 
 
 def table_one(arms: Sequence[Arm]) -> Table:

@@ -87,7 +87,7 @@ def test_what_stands_beside_other_networks_alone_is_told_how_to_get_its_twin(tmp
     make_run(tmp_path / "c", conditioning="keypoints")
     arms = arms_of(tmp_path)
     (sentence,) = without_twins(arms)
-    assert sentence.startswith("No gain is shown of ACT, late, on Lift (laptop preset)")
+    assert sentence.startswith("No gain is shown of ACT, late, in 1 setting: ")
     assert "(twin of keypoints)" in sentence
     assert [row[2] for row in gains_table(arms).rows] == ["keypoints"]
 
