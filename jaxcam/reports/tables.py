@@ -278,7 +278,7 @@ def paper_value(arm: Arm) -> float | None:
     conditioned = s["conditioning"] != "none"
     if not paper.is_table_setting(s):
         return None
-    if conditioned and s["conditioning"] != _papers_way(s["policy"]):
+    if conditioned and s["conditioning"] != paper.CONDITIONING.get(s["policy"]):
         return None
     return paper.success(s["policy"], s["task"], conditioned)
 
@@ -291,7 +291,9 @@ def is_of_table(arm: Arm) -> bool:
     if is_foreign_arm(arm):
         return arm.settings["scene"] == "randomized"
     network = arm.network  # of an image-only arm, whose twin it is
-    known = network == _papers_way(arm.settings["policy"]) or network not in paper.ENCODINGS
+    known = (
+        network == paper.CONDITIONING.get(arm.settings["policy"]) or network not in paper.ENCODINGS
+    )
     return known and paper.is_table_setting(arm.settings)
 
 
@@ -340,10 +342,6 @@ def _task(arm: Arm) -> str:
     """Task and scene; randomised is the usual one."""
     s = arm.settings
     return paper.task_title(s["task"]) + (", fixed" if s["scene"] == "fixed" else "")
-
-
-def _papers_way(policy: str) -> str | None:
-    return paper.CONDITIONING.get(policy)
 
 
 def _paper_gain(arm: Arm) -> str:
