@@ -148,7 +148,7 @@ def read_origin(
         nv=model.nv,
         world_from_theirs=world_from_theirs,
         theirs_from_controller=frame,
-        geom_size=np.array([model.geom_size[_named(model, "geom", g)] for g in varied]),
+        geom_size=np.reshape([model.geom_size[_named(model, "geom", g)] for g in varied], (-1, 3)),
         _qpos=_addresses(joints, "qposadr"),
         _qvel=_addresses(joints, "dofadr"),
         _free=np.array(
