@@ -107,8 +107,11 @@ def deltas_of(demo, scene):
     return np.concatenate([actions, np.zeros((1, 7))])
 
 
-def write_authors_file(path, task, seeds=(42, 43), actions="eef_delta"):
-    """A file of the authors' layout, and the demonstrations in it."""
+def write_authors_file(path, task, seeds=(142, 143), actions="eef_delta"):
+    """A file of the authors' layout, and the demonstrations in it.
+
+    Seeds are not those that an import would give, so that nothing fits by chance.
+    """
     thing = make_task(task)
     scene = thing.scene("randomized")
     engine = make_engine(None, scene, "osc_pose", thing.varied)
