@@ -173,6 +173,7 @@ class Evaluator:
             width can change a result's last digits; it is kept in each row.
         engine: That simulates them; `config.engine` when None.
         ensemble: Rate of temporal ensembling, 0 is off; `config.ensemble` when None.
+        seen: Cameras that training saw [C, 4, 4], which the pairs of `train` need.
     """
 
     def __init__(
@@ -181,8 +182,9 @@ class Evaluator:
         width: int = 50,
         engine: str | None = None,
         ensemble: float | None = None,
+        seen: np.ndarray | None = None,
     ) -> None:
-        self.config, self.width = config, width
+        self.config, self.width, self.seen = config, width, seen
         self.ensemble = config.ensemble if ensemble is None else ensemble
         self.task = make_task(config.task)
         self.task.require()
@@ -206,7 +208,7 @@ class Evaluator:
 
         Args:
             candidate: Who acts.
-            split: Which pairs: `test` or `validation`.
+            split: Which pairs: `test`, `validation` or `train`.
             pairs: Their numbers.
             tick: Called after every control step.
 
@@ -309,7 +311,7 @@ class Evaluator:
 
     def pairs(self, split: str, numbers: Sequence[int]) -> Pairs:
         """The pairs of these numbers."""
-        return make_pairs(self.task, self.scene, self.config.views, split, numbers)
+        return make_pairs(self.task, self.scene, self.config.views, split, numbers, self.seen)
 
 
 @dataclass(frozen=True)

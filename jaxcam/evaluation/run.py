@@ -12,6 +12,7 @@ from rich.console import Console
 
 from jaxcam.config.commands import EvaluateConfig
 from jaxcam.config.train import TrainConfig
+from jaxcam.data.pairs import cameras_seen
 from jaxcam.devices import gathered, is_first, joined
 from jaxcam.errors import CheckpointError, ConfigError, JaxcamError
 from jaxcam.evaluation.checkpoint import Wanted, evaluate, rows_of
@@ -21,8 +22,10 @@ from jaxcam.files.paths import absolute
 from jaxcam.reports.run_figures import write_plots
 from jaxcam.reports.run_page import write_report
 from jaxcam.results.protocol import missing, protocol_of
+from jaxcam.results.rows import SEEN
 from jaxcam.results.stats import latest_rows, success_rate
 from jaxcam.runs.identity import RECORDED
+from jaxcam.runs.manifests import sides
 from jaxcam.runs.metrics import read_metrics
 from jaxcam.runs.rollouts import read_run_rows
 from jaxcam.training.checkpoint import checkpoint_steps, load_policy_inputs, rebuild_policy
@@ -49,7 +52,11 @@ def evaluate_run(config: EvaluateConfig, folder: Path, console: Console | None) 
     if config.protocol == "paper":
         steps, lacking = steps_to_judge(folder, inputs.config)
     policy = rebuild_policy(inputs)
-    evaluator = Evaluator(inputs.config, config.width, config.engine, config.ensemble)
+    seen = None
+    if config.split == SEEN:
+        data = next((str(side["data"]) for side in sides(folder).values()), None)
+        seen = cameras_seen(inputs.config, data)
+    evaluator = Evaluator(inputs.config, config.width, config.engine, config.ensemble, seen)
     rows = read_run_rows(folder)
     wanted = Wanted(config.split, config.pairs)
     open_steps = [s for s in steps if missing(rows_of(rows, evaluator, s, wanted), config.pairs)]
@@ -78,13 +85,16 @@ def _conclude(
         for r in latest_rows(read_run_rows(folder))
         if r.step in steps and r.split == config.split and r.pair < config.pairs
     ]
-    write_plots(folder / "plots", read_metrics(folder), rows)
+    if config.split != SEEN:  # the plots are of held-out cameras
+        write_plots(folder / "plots", read_metrics(folder), rows)
     report = write_report(folder)
     if console:
         what = f"{len(steps)} checkpoints" if len(steps) > 1 else f"step {steps[0]}"
+        pairs = f"{config.split} pairs"
+        if config.split == SEEN:
+            pairs = "new starts seen by training's cameras (memory, no result)"
         console.print(
-            f"{folder.name}: success on {config.pairs} {config.split} pairs at {what}: "
-            f"{success_rate(rows)}",
+            f"{folder.name}: success on {config.pairs} {pairs} at {what}: {success_rate(rows)}",
             soft_wrap=True,
             markup=False,
         )
