@@ -1,0 +1,46 @@
+"""What is looked at of a camera: some pictures of some episodes, the lens undone, with joints."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Film:
+    """Pictures of one camera that stands still, and the robot's joints in each."""
+
+    K: np.ndarray
+    """Of the pictures, whose lens is undone (pixels), [3, 3]."""
+    rgb: np.ndarray = field(repr=False)
+    """Uint8 [n, h, w, 3]."""
+    angles: np.ndarray = field(repr=False)
+    """Joint angles (rad), [n, joints]."""
+    speeds: np.ndarray = field(repr=False)
+    """Their speeds (rad/s), [n, joints]."""
+    opening: np.ndarray | None = field(repr=False)
+    """Of the gripper, from 0 to 1, [n]; None where nobody says."""
+    episodes: np.ndarray = field(repr=False)
+    """Numbers of the pictures' episodes, ascending, [n]."""
+    steps: np.ndarray = field(repr=False)
+    """Their steps, [n]."""
+    masks: np.ndarray | None = field(default=None, repr=False)
+    """Where the arm is, as another tool has it, bool [n, h, w]."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height."""
+        return self.rgb.shape[2], self.rgb.shape[1]
+
+    def by_episode(self) -> Iterator[np.ndarray]:
+        """Numbers of the pictures of each episode."""
+        for episode in np.unique(self.episodes):
+            yield np.flatnonzero(self.episodes == episode)
+
+    def some(self, keep: np.ndarray) -> "Film":
+        """Only some of the pictures."""
+        parts = {
+            name: None if getattr(self, name) is None else getattr(self, name)[keep]
+            for name in ("rgb", "angles", "speeds", "opening", "episodes", "steps", "masks")
+        }
+        return Film(self.K, **parts)

@@ -1,0 +1,194 @@
+"""The refinement: the camera's pose, and small faults of the joints, that put contours on edges."""
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from jaxcam.robot.calibration.arm.edges import background, find_edges
+from jaxcam.robot.calibration.arm.film import Film
+from jaxcam.robot.calibration.arm.model import ArmModel
+from jaxcam.robot.calibration.arm.surface import Contour, Surface, contour, silhouette
+from jaxcam.robot.calibration.projection import moved, placed
+
+REACHES = (14.0, 10.0, 8.0, 6.0, 5.0, 4.0, 4.0)
+"""Pixels that edges are looked for at, round by round, of a picture 256 high."""
+JOINT = np.deg2rad(0.3)
+"""Standard deviation of a joint's constant fault before anything was seen (rad)."""
+LAG = 0.05
+"""Likewise of the time between pictures and states (s)."""
+SAMPLES = 0.01
+"""Distance (m) between the samples that fill silhouettes."""
+CROWD = 8.0
+"""Neighbouring points of a contour, and pictures in a row, share their faults: so many count as
+one."""
+_DELTA = 1e-4
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Contour points of all pictures, and how far their edges are off."""
+
+    contours: list[Contour] = field(repr=False)
+    rows: np.ndarray = field(repr=False)
+    """The picture of each point, [n]."""
+    offsets: np.ndarray = field(repr=False)
+    """Pixels outwards from the contour to the edge, [n]."""
+    clear: np.ndarray = field(repr=False)
+    """Which points have an edge, bool [n]."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Where a camera stands, and the faults of joints and clock that come with it."""
+
+    base_from_camera: np.ndarray
+    """[4, 4]."""
+    joints: np.ndarray
+    """What is to be added to the joints' angles (rad), [joints]."""
+    lag: float
+    """Time (s) by which pictures are later than states."""
+
+
+class Refiner:
+    """Refines poses of one camera.
+
+    Args:
+        arm: The robot.
+        film: The pictures.
+    """
+
+    def __init__(self, arm: ArmModel, film: Film) -> None:
+        self.arm, self.film = arm, film
+        self.surface = Surface.of(arm.parts)
+        points, owners = self.surface.samples(SAMPLES)
+        self._samples = [points[owners == number] for number in range(len(arm.parts))]
+        self.scale = film.size[1] / 256
+
+    def angles(self, solution: Solution) -> np.ndarray:
+        """The joints' angles in each picture, [n, joints]."""
+        return self.film.angles + solution.joints + solution.lag * self.film.speeds
+
+    def masks(self, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+        """Silhouettes of all pictures, bool [n, h, w], and the parts' poses [n, parts, 4, 4]."""
+        poses = self.arm.poses(self.angles(solution), self.film.opening)
+        inverse = np.linalg.inv(solution.base_from_camera)
+        K, size = self.film.K, self.film.size
+        masks = []
+        for row in inverse @ poses:
+            there = np.concatenate([
+                points @ pose[:3, :3].T + pose[:3, 3]
+                for pose, points in zip(row, self._samples, strict=True)
+            ])  # fmt: skip
+            z = np.where(there[:, 2:] > 0.05, there[:, 2:], np.nan)
+            pixels = there[:, :2] / z @ K[:2, :2].T + K[:2, 2]
+            masks.append(silhouette(pixels, size, 2 * round(2.5 * self.scale) + 1))
+        return np.stack(masks), poses
+
+    def look(self, solution: Solution, reach: float) -> Seen:
+        """Contours of a solution, and edges near them."""
+        masks, poses = self.masks(solution)
+        inverse = np.linalg.inv(solution.base_from_camera)
+        width = 2 * int(np.ceil(reach / 2)) + 1
+        covered = np.stack([
+            cv2.dilate(m.astype(np.uint8), np.ones((width, width), np.uint8)) > 0 for m in masks
+        ])  # fmt: skip
+        contours, rows, offsets, clear = [], [], [], []
+        for episode in self.film.by_episode():
+            behind = background(self.film.rgb[episode], covered[episode])
+            for i in episode:
+                found = contour(
+                    self.surface, inverse @ poses[i], self.film.K, masks[i],
+                    spacing=3 * self.scale,
+                )  # fmt: skip
+                edges = find_edges(
+                    self.film.rgb[i].astype(np.float32) - behind, found.pixels, found.normals,
+                    reach,
+                )  # fmt: skip
+                contours.append(found)
+                rows.append(np.full(len(found.pixels), i))
+                offsets.append(edges.offsets)
+                clear.append(edges.clear)
+        return Seen(contours, np.concatenate(rows), np.concatenate(offsets), np.concatenate(clear))
+
+    def slopes(self, solution: Solution, seen: Seen) -> np.ndarray:
+        """By how much contour points move along their normals, [n, 6 + joints + 1].
+
+        Of small motions of the camera as in `moved`, of the joints, and of the lag.
+        """
+        angles, opening = self.angles(solution), self.film.opening
+        poses = self.arm.poses(angles, opening)
+        turned = [
+            (self.arm.poses(angles + _DELTA * step, opening) - poses) / _DELTA
+            for step in np.eye(self.arm.joints)
+        ]
+        inverse, K = np.linalg.inv(solution.base_from_camera), self.film.K
+        parts = []
+        at = np.cumsum([0, *(len(c.pixels) for c in seen.contours)])
+        for number, found in enumerate(seen.contours):
+            if not len(found.pixels):
+                continue
+            i = seen.rows[at[number]]
+            there = placed(inverse @ poses[i][found.owners], found.points[:, None])[:, 0]
+            x, y, z = there.T
+            flat = np.zeros((len(x), 2, 3))
+            flat[:, 0, 0], flat[:, 0, 2] = 1 / z, -x / z**2
+            flat[:, 1, 1], flat[:, 1, 2] = 1 / z, -y / z**2
+            along = np.einsum("ni,ij,njk->nk", found.normals, K[:2, :2], flat)
+            joints = np.stack([
+                placed_direction(inverse, d[i][found.owners], found.points) for d in turned
+            ], -1)  # fmt: skip
+            joints = np.einsum("nk,nkj->nj", along, joints)
+            lag = joints @ self.film.speeds[i]
+            # A camera that moves by d, and turns by w, sees points at -d - w x p.
+            parts.append(np.concatenate([-along, np.cross(along, there), joints, lag[:, None]], 1))
+        return np.concatenate(parts)
+
+    def step(self, solution: Solution, seen: Seen, sure: float) -> tuple[Solution, np.ndarray]:
+        """The next solution, and the weights of the points [n]."""
+        J = self.slopes(solution, seen)
+        return solve(solution, J, seen, sure)
+
+    def refine(self, solution: Solution, reaches: tuple[float, ...] = REACHES) -> Solution:
+        """Refines a solution."""
+        for reach in reaches:
+            seen = self.look(solution, reach * self.scale)
+            if seen.clear.sum() < 50:
+                return solution
+            solution, _ = self.step(solution, seen, reach * self.scale / 4)
+        return solution
+
+
+def placed_direction(inverse: np.ndarray, slopes: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """What points of links [n, 3] move by before the camera, by their poses' slopes [n, 4, 4]."""
+    there = (slopes[:, :3, :3] @ points[..., None])[..., 0] + slopes[:, :3, 3]
+    return there @ inverse[:3, :3].T
+
+
+def solve(
+    solution: Solution, J: np.ndarray, seen: Seen, sure: float
+) -> tuple[Solution, np.ndarray]:
+    """Moves a solution so that contours lie on edges, by robust least squares.
+
+    Args:
+        solution: Where it begins.
+        J: Slopes of the points, see `Refiner.slopes`.
+        seen: The edges.
+        sure: Pixels from which on an edge counts less (Cauchy).
+    """
+    count = len(solution.joints)
+    prior = np.r_[np.zeros(6), np.full(count, 1 / JOINT**2), 1 / LAG**2]
+    now = np.r_[np.zeros(6), solution.joints, solution.lag]
+    x, weights = np.zeros(len(now)), seen.clear.astype(float)
+    for _ in range(8):
+        left = seen.offsets - J @ x
+        spread = 1.48 * np.median(abs(left[seen.clear]))
+        soft = max(min(2 * spread, sure), 0.5)
+        weights = seen.clear / (1 + (left / soft) ** 2)
+        variance = max(spread, 0.2) ** 2 * CROWD
+        normal = (J * weights[:, None]).T @ J / variance + np.diag(prior)
+        pull = (J * weights[:, None]).T @ seen.offsets / variance - prior * now
+        x = np.linalg.solve(normal, pull)
+    return Solution(
+        moved(solution.base_from_camera, x[:6]), solution.joints + x[6:-1], solution.lag + x[-1]
+    ), weights
