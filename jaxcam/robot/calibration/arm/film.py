@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from jaxcam.interop.cameras.optics import Optics
+
 
 @dataclass(frozen=True)
 class Film:
@@ -31,6 +33,11 @@ class Film:
     def size(self) -> tuple[int, int]:
         """Width and height."""
         return self.rgb.shape[2], self.rgb.shape[1]
+
+    @property
+    def optics(self) -> Optics:
+        """How the camera sees, its lens undone."""
+        return Optics(self.K, *self.size, np.zeros(9))
 
     def by_episode(self) -> Iterator[np.ndarray]:
         """Numbers of the pictures of each episode."""

@@ -43,13 +43,20 @@ class ArmModel:
         base: Name of the body whose frame is the base's; the world's when empty.
         arm: Names of its joints, from the base on.
         fingers: Names of the joints of its fingers; those without a name here stay at zero.
+        known: Whether it is known how far the fingers are open; else they are left out.
 
     Raises:
         ConfigError: A name is unknown, or nothing is moved by these joints.
     """
 
     def __init__(
-        self, model: mujoco.MjModel, base: str, arm: Sequence[str], fingers: Sequence[str] = ()
+        self,
+        model: mujoco.MjModel,
+        base: str,
+        arm: Sequence[str],
+        fingers: Sequence[str] = (),
+        *,
+        known: bool = True,
     ) -> None:
         self._model, self._data = model, mujoco.MjData(model)
         known = [model.joint(i).name for i in range(model.njnt)]
@@ -61,10 +68,14 @@ class ArmModel:
         self._ranges = np.array([model.joint(name).range for name in fingers]).reshape(-1, 2)
         self._base = model.body(base).id if base else 0
         moved = _moved_by(model, {int(model.joint(name).bodyid[0]) for name in arm})
+        if not known:
+            moved -= _moved_by(model, {int(model.joint(name).bodyid[0]) for name in fingers})
         self.parts = [part for body in sorted(moved) if (part := _part(model, body)) is not None]
         """Of the moving links."""
         if not self.parts:
-            raise ConfigError("The robot's joints move nothing that can be seen: no mesh, no shape.")
+            raise ConfigError(
+                "The robot's joints move nothing that can be seen: no mesh, no shape."
+            )
 
     @property
     def joints(self) -> int:
@@ -98,13 +109,13 @@ class ArmModel:
         return result
 
 
-def load_arm(robot: str, joints: Sequence[str] = ()) -> ArmModel:
+def load_arm(robot: str, *, fingers: bool = True) -> ArmModel:
     """The model of an arm.
 
     Args:
         robot: `panda`, or an MJCF or URDF file.
-        joints: Names of its joints from the base on; all hinges in order when empty, slides being
-            fingers.
+        fingers: Whether it is known how far they are open; else they are not looked at. Of a file,
+            all joints that turn are the arm's, and all that slide are fingers.
 
     Raises:
         ConfigError: There is no such file, MuJoCo cannot read it, or a name is unknown.
@@ -116,8 +127,8 @@ def load_arm(robot: str, joints: Sequence[str] = ()) -> ArmModel:
         scene = make_task("lift").scene("fixed")
         assert isinstance(scene, Scene)
         arm = [f"robot0_joint{i}" for i in range(1, 8)]
-        fingers = [f"gripper0_right_finger_joint{i}" for i in (1, 2)]
-        return ArmModel(scene.visual, "robot0_base", arm, fingers)
+        slides = [f"gripper0_right_finger_joint{i}" for i in (1, 2)]
+        return ArmModel(scene.visual, "robot0_base", arm, slides, known=fingers)
     path = Path(robot).expanduser()
     if not path.is_file():
         raise ConfigError(
@@ -133,10 +144,9 @@ def load_arm(robot: str, joints: Sequence[str] = ()) -> ArmModel:
     kinds = {model.joint(i).name: int(model.joint(i).type[0]) for i in range(model.njnt)}
     hinges = [name for name, kind in kinds.items() if kind == mujoco.mjtJoint.mjJNT_HINGE]
     slides = [name for name, kind in kinds.items() if kind == mujoco.mjtJoint.mjJNT_SLIDE]
-    arm = list(joints) or hinges
-    if not arm:
+    if not hinges:
         raise ConfigError(f"--robot {path}: no joint that turns.")
-    return ArmModel(model, "", arm, [name for name in slides if name not in arm])
+    return ArmModel(model, "", hinges, slides, known=fingers)
 
 
 def _moved_by(model: mujoco.MjModel, bodies: set[int]) -> set[int]:

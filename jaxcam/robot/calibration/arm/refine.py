@@ -5,14 +5,15 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
+from jaxcam.interrupts import check_stop
 from jaxcam.robot.calibration.arm.edges import background, find_edges
 from jaxcam.robot.calibration.arm.film import Film
 from jaxcam.robot.calibration.arm.model import ArmModel
 from jaxcam.robot.calibration.arm.surface import Contour, Surface, contour, silhouette
-from jaxcam.robot.calibration.projection import moved, placed
+from jaxcam.robot.calibration.projection import moved, placed, spread_of
 
-REACHES = (14.0, 10.0, 8.0, 6.0, 5.0, 4.0, 4.0)
-"""Pixels that edges are looked for at, round by round, of a picture 256 high."""
+REACHES = (14.0, 10.0, 7.0, 5.0, 4.0)
+"""Pixels that edges are looked for within, round by round, of a picture 256 high."""
 JOINT = np.deg2rad(0.3)
 """Standard deviation of a joint's constant fault before anything was seen (rad)."""
 LAG = 0.05
@@ -48,6 +49,18 @@ class Solution:
     """What is to be added to the joints' angles (rad), [joints]."""
     lag: float
     """Time (s) by which pictures are later than states."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of joints and clock before anything was seen."""
+
+    joints: np.ndarray
+    """Their faults (rad), [joints]."""
+    lag: float = 0.0
+    """Of pictures (s)."""
+    joint_sigma: float = JOINT
+    lag_sigma: float = LAG
 
 
 class Refiner:
@@ -95,6 +108,7 @@ class Refiner:
         ])  # fmt: skip
         contours, rows, offsets, clear = [], [], [], []
         for episode in self.film.by_episode():
+            check_stop()
             behind = background(self.film.rgb[episode], covered[episode])
             for i in episode:
                 found = contour(
@@ -144,19 +158,28 @@ class Refiner:
             parts.append(np.concatenate([-along, np.cross(along, there), joints, lag[:, None]], 1))
         return np.concatenate(parts)
 
-    def step(self, solution: Solution, seen: Seen, sure: float) -> tuple[Solution, np.ndarray]:
-        """The next solution, and the weights of the points [n]."""
-        J = self.slopes(solution, seen)
-        return solve(solution, J, seen, sure)
+    def refine(
+        self,
+        solution: Solution,
+        reaches: tuple[float, ...] = REACHES,
+        prior: Prior | None = None,
+    ) -> "Refined":
+        """Refines a solution, round by round, looking for edges ever nearer.
 
-    def refine(self, solution: Solution, reaches: tuple[float, ...] = REACHES) -> Solution:
-        """Refines a solution."""
+        Args:
+            solution: Where it begins.
+            reaches: Pixels within which edges are looked for, of a picture 256 high.
+            prior: What is known of joints and clock; that they are about right when None.
+        """
+        prior = prior or Prior(np.zeros(self.arm.joints))
+        refined = None
         for reach in reaches:
             seen = self.look(solution, reach * self.scale)
-            if seen.clear.sum() < 50:
-                return solution
-            solution, _ = self.step(solution, seen, reach * self.scale / 4)
-        return solution
+            slopes = self.slopes(solution, seen)
+            refined = solve(solution, slopes, seen, reach * self.scale / 4, prior)
+            solution = refined.solution
+        assert refined is not None
+        return refined
 
 
 def placed_direction(inverse: np.ndarray, slopes: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -165,30 +188,74 @@ def placed_direction(inverse: np.ndarray, slopes: np.ndarray, points: np.ndarray
     return there @ inverse[:3, :3].T
 
 
-def solve(
-    solution: Solution, J: np.ndarray, seen: Seen, sure: float
-) -> tuple[Solution, np.ndarray]:
+@dataclass(frozen=True)
+class Refined:
+    """A solution, how sure it is, and how well it explains the edges."""
+
+    solution: Solution
+    covariance: np.ndarray = field(repr=False)
+    """Of small motions of the camera as in `moved`, [6, 6]."""
+    seen: Seen = field(repr=False)
+    """The contours of the round before, and their edges."""
+    left: np.ndarray = field(repr=False)
+    """What the solution leaves of the offsets (pixels), [n]."""
+    weights: np.ndarray = field(repr=False)
+    """Of the points, from 0 to 1, [n]."""
+    lag_sigma: float
+    """Standard deviation of the lag (s)."""
+
+    @property
+    def spread(self) -> tuple[float, float]:
+        """Standard deviations of the camera's place (m) and rotation (rad)."""
+        return spread_of(self.covariance)
+
+    @property
+    def typical(self) -> float:
+        """What edges are off, in the median (pixels)."""
+        clear = self.seen.clear
+        return float(np.median(abs(self.left[clear]))) if clear.any() else np.inf
+
+    def support(self, near: float) -> float:
+        """Share of all contour points with an edge within so many pixels."""
+        if not len(self.left):
+            return 0.0
+        return float((self.seen.clear & (abs(self.left) < near)).mean())
+
+
+def solve(solution: Solution, J: np.ndarray, seen: Seen, sure: float, prior: Prior) -> Refined:
     """Moves a solution so that contours lie on edges, by robust least squares.
+
+    Pictures are the witnesses of its covariance: points of one picture may share their error. What
+    joints and clock may be off by beforehand is in it.
 
     Args:
         solution: Where it begins.
         J: Slopes of the points, see `Refiner.slopes`.
         seen: The edges.
         sure: Pixels from which on an edge counts less (Cauchy).
+        prior: What is known of joints and clock.
     """
     count = len(solution.joints)
-    prior = np.r_[np.zeros(6), np.full(count, 1 / JOINT**2), 1 / LAG**2]
-    now = np.r_[np.zeros(6), solution.joints, solution.lag]
-    x, weights = np.zeros(len(now)), seen.clear.astype(float)
+    held = np.r_[np.full(6, 1e-6), np.full(count, 1 / prior.joint_sigma**2), 1 / prior.lag_sigma**2]
+    now = np.r_[np.zeros(6), solution.joints - prior.joints, solution.lag - prior.lag]
+    x, weights, variance = np.zeros(len(now)), seen.clear.astype(float), 1.0
+    normal = np.diag(held)
     for _ in range(8):
         left = seen.offsets - J @ x
-        spread = 1.48 * np.median(abs(left[seen.clear]))
+        spread = 1.48 * np.median(abs(left[seen.clear])) if seen.clear.any() else 1.0
         soft = max(min(2 * spread, sure), 0.5)
         weights = seen.clear / (1 + (left / soft) ** 2)
         variance = max(spread, 0.2) ** 2 * CROWD
-        normal = (J * weights[:, None]).T @ J / variance + np.diag(prior)
-        pull = (J * weights[:, None]).T @ seen.offsets / variance - prior * now
+        normal = (J * weights[:, None]).T @ J / variance + np.diag(held)
+        pull = (J * weights[:, None]).T @ seen.offsets / variance - held * now
         x = np.linalg.solve(normal, pull)
-    return Solution(
+    left = seen.offsets - J @ x
+    pulls = J * (weights * np.where(seen.clear, left, 0))[:, None] / variance
+    pictures = np.zeros((int(seen.rows.max(initial=0)) + 1, len(x)))
+    np.add.at(pictures, seen.rows, pulls)
+    inverse = np.linalg.inv(normal)
+    covariance = inverse @ (pictures.T @ pictures + np.diag(held)) @ inverse
+    now = Solution(
         moved(solution.base_from_camera, x[:6]), solution.joints + x[6:-1], solution.lag + x[-1]
-    ), weights
+    )
+    return Refined(now, covariance[:6, :6], seen, left, weights, float(np.sqrt(covariance[-1, -1])))

@@ -34,6 +34,8 @@ AZIMUTHS, ELEVATIONS, DISTANCES = 30, (5, 20, 35, 50, 65, 80), (0.5, 0.7, 1.0, 1
 """Sides, degrees above the horizon, and metres from the arm, that are tried."""
 KEPT, ROUNDS, VARIED = 24, 7, 16
 """Poses that are kept, how often they are varied, and into how many each."""
+SIDE = np.deg2rad(25)
+"""Poses seen from the arm within this angle are of one side (rad)."""
 AT_ONCE = 64
 """Poses that are tried at a time."""
 
@@ -132,22 +134,33 @@ def search(changes: Changes, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
         seed: Of the variations.
 
     Returns:
-        Poses [KEPT, 4, 4], and how well they fit [KEPT].
+        Poses [k, 4, 4], and how well they fit [k]; k is at most `KEPT`.
     """
     rng = np.random.default_rng(seed)
     poses = _around(changes)
     fits = changes.fits(poses)
-    order = np.argsort(-fits)[:KEPT]
-    poses, fits = poses[order], fits[order]
-    middle = changes.points.reshape(-1, 3).mean(0)
+    middle = changes.points.reshape(-1, 3).mean(0).astype(float)
+    poses, fits = _best(poses, fits, middle)
     for round_ in range(ROUNDS):
         wide = 0.6**round_
         more = np.concatenate([_varied(pose, middle, wide, rng) for pose in poses])
         poses = np.concatenate([poses, more])
         fits = np.concatenate([fits, changes.fits(more)])
-        order = np.argsort(-fits)[:KEPT]
-        poses, fits = poses[order], fits[order]
+        poses, fits = _best(poses, fits, middle)
     return poses, fits
+
+
+def _best(poses: np.ndarray, fits: np.ndarray, middle: np.ndarray) -> tuple[np.ndarray, ...]:
+    """The poses that fit best, the best first; of one side of the arm at most a third."""
+    ways = poses[:, :3, 3] - middle
+    ways /= np.linalg.norm(ways, axis=-1, keepdims=True)
+    kept: list[int] = []
+    for i in np.argsort(-fits):
+        if len(kept) == KEPT:
+            break
+        if not kept or (ways[kept] @ ways[i] > np.cos(SIDE)).sum() < KEPT // 3:
+            kept.append(int(i))
+    return poses[kept], fits[kept]
 
 
 def _around(changes: Changes) -> np.ndarray:

@@ -173,6 +173,4 @@ def _thinned(found: Contour, size: tuple[int, int], spacing: float) -> Contour:
     order = np.flatnonzero(inside)
     _, first = np.unique(keys[order], axis=0, return_index=True)
     keep = order[first]
-    return Contour(
-        found.points[keep], found.owners[keep], found.pixels[keep], found.normals[keep]
-    )
+    return Contour(found.points[keep], found.owners[keep], found.pixels[keep], found.normals[keep])
