@@ -153,7 +153,8 @@ def arm_page(config: ArmConfig, arm: ArmModel, fit: ArmFit, notes: list[str]) ->
     position = ", ".join(f"{x:.4f}" for x in fit.base_from_camera[:3, 3])
     faults = ", ".join(f"{x:+.2f}" for x in np.rad2deg(refined.solution.joints))
     rows = [
-        ("camera in the base frame (m)", position, f"{1000 * place:.1f} mm, {np.rad2deg(turn):.2f}°"),
+        ("camera in the base frame (m)", position,
+         f"{1000 * place:.1f} mm, {np.rad2deg(turn):.2f}°"),
         ("edges are off by (median)", f"{refined.typical:.2f} pixels", ""),
         ("share of the contour that lies on edges", f"{fit.support:.0%}", ""),
         ("faults of the joints, as fitted (degrees)", faults, ""),

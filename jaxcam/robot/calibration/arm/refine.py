@@ -1,5 +1,6 @@
 """The refinement: the camera's pose, and small faults of the joints, that put contours on edges."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import cv2
@@ -23,6 +24,8 @@ SAMPLES = 0.01
 CROWD = 8.0
 """Neighbouring points of a contour, and pictures in a row, share their faults: so many count as
 one."""
+MASK = 120.0
+"""Levels of a mask against what is outside it."""
 _DELTA = 1e-4
 
 
@@ -109,21 +112,28 @@ class Refiner:
         contours, rows, offsets, clear = [], [], [], []
         for episode in self.film.by_episode():
             check_stop()
-            behind = background(self.film.rgb[episode], covered[episode])
-            for i in episode:
+            differences = self._differences(episode, covered[episode])
+            for i, difference in zip(episode, differences, strict=True):
                 found = contour(
-                    self.surface, inverse @ poses[i], self.film.K, masks[i],
-                    spacing=3 * self.scale,
-                )  # fmt: skip
-                edges = find_edges(
-                    self.film.rgb[i].astype(np.float32) - behind, found.pixels, found.normals,
-                    reach,
-                )  # fmt: skip
+                    self.surface, inverse @ poses[i], self.film.K, masks[i], spacing=3 * self.scale
+                )
+                edges = find_edges(difference, found.pixels, found.normals, reach)
                 contours.append(found)
                 rows.append(np.full(len(found.pixels), i))
                 offsets.append(edges.offsets)
                 clear.append(edges.clear)
         return Seen(contours, np.concatenate(rows), np.concatenate(offsets), np.concatenate(clear))
+
+    def _differences(self, episode: np.ndarray, covered: np.ndarray) -> Iterator[np.ndarray]:
+        """Pictures of one episode less their background, or masks of another tool."""
+        if self.film.masks is not None:
+            for mask in self.film.masks[episode]:
+                yield np.repeat(MASK * mask[..., None].astype(np.float32), 3, 2)
+            return
+        pictures = self.film.rgb[episode]
+        behind = background(pictures, covered)
+        for picture in pictures:
+            yield picture.astype(np.float32) - behind
 
     def slopes(self, solution: Solution, seen: Seen) -> np.ndarray:
         """By how much contour points move along their normals, [n, 6 + joints + 1].

@@ -26,8 +26,8 @@ TINT = 0.025
 """Change of a pixel's colour, whatever its brightness, beyond which it is no shadow."""
 SHADE = 0.35
 """What a change counts that may be a shadow."""
-PAIRS = 2
-"""Pairs of pictures of an episode."""
+PAIRS, IN_ALL = 2, 12
+"""Pairs of pictures of an episode, and in all."""
 SPACING = 0.035
 """Distance (m) between samples of the arm."""
 AZIMUTHS, ELEVATIONS, DISTANCES = 30, (5, 20, 35, 50, 65, 80), (0.5, 0.7, 1.0, 1.4, 2.0, 2.8)
@@ -83,6 +83,8 @@ class Changes:
 def changes_of(arm: ArmModel, film: Film) -> Changes:
     """What changes between the pictures of each episode that are farthest apart."""
     pairs = [pair for rows in film.by_episode() for pair in _far_apart(film.angles[rows], rows)]
+    way = [-float(np.linalg.norm(film.angles[a] - film.angles[b])) for a, b in pairs]
+    pairs = [pairs[i] for i in sorted(np.argsort(way, kind="stable")[:IN_ALL])]
     first, second = np.array(pairs).T
     width, height = film.size
     cell = max(width, height) / CELLS

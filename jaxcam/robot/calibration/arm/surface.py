@@ -16,6 +16,8 @@ from jaxcam.robot.calibration.projection import placed
 
 BEYOND = 2.0
 """Pixels beyond a contour at which nothing of the arm may be."""
+PIECES = 100
+"""Into so many an edge is cut at most."""
 CLOSED = 3
 """Pixels of the holes between samples that are closed."""
 
@@ -142,18 +144,30 @@ def contour(
         ends, there = ends[ahead], there[ahead]
         flat = there[..., :2] / there[..., 2:]
         flat = flat @ K[:2, :2].T + K[:2, 2]
-        along = flat[:, 1] - flat[:, 0]
-        length = np.linalg.norm(along, axis=-1)
-        normal = np.stack([along[:, 1], -along[:, 0]], -1) / np.maximum(length, 1e-9)[:, None]
-        middle = flat.mean(1)
+        length = np.linalg.norm(flat[:, 1] - flat[:, 0], axis=-1)
+        ends, along = _pieces(ends, np.minimum(np.ceil(length / spacing), PIECES).astype(int))
+        middle, ahead = placed(pose, ends), placed(pose, ends + along)
+        middle, ahead = (p[:, :2] / p[:, 2:] @ K[:2, :2].T + K[:2, 2] for p in (middle, ahead))
+        way = ahead - middle
+        length = np.linalg.norm(way, axis=-1)
+        normal = np.stack([way[:, 1], -way[:, 0]], -1) / np.maximum(length, 1e-9)[:, None]
         out, back = (_at(mask, middle + side * BEYOND * normal) for side in (1, -1))
-        edge = (out != back) & (length > 1e-6)
-        points.append(ends[edge].mean(1))
+        edge = (out != back) & (length > 1e-9)
+        points.append(ends[edge])
         owners.append(np.full(int(edge.sum()), number))
         pixels.append(middle[edge])
         normals.append(np.where(out[edge], -1, 1)[:, None] * normal[edge])
     found = Contour(*map(np.concatenate, (points, owners, pixels, normals)))
     return _thinned(found, (mask.shape[1], mask.shape[0]), spacing)
+
+
+def _pieces(ends: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Middles of the pieces of edges [e, 2, 3] that are cut into so many, and ways along them."""
+    counts = np.maximum(counts, 1)
+    edge = np.repeat(np.arange(len(ends)), counts)
+    number = np.arange(len(edge)) - np.repeat(np.cumsum(counts) - counts, counts)
+    along = (ends[edge, 1] - ends[edge, 0]) / counts[edge, None]
+    return ends[edge, 0] + (number[:, None] + 0.5) * along, 0.1 * along
 
 
 def _at(mask: np.ndarray, pixels: np.ndarray) -> np.ndarray:
