@@ -87,12 +87,15 @@ def find_edges(
     between = ((inner - outer) ** 2).sum(-1)
     # A cut lies before its sample.
     places = along[0] + (cut - 0.5) * STEP
-    score = between / (np.maximum(within, 0) + NOISE**2)
-    score = score * np.exp(-0.5 * (places / (0.6 * reach + 1)) ** 2)
     rising = (inner**2).sum(-1) < 0.25 * (outer**2).sum(-1)  # the arm lies within
+    score = between / (np.maximum(within, 0) + NOISE**2)
     score = np.where(whole & ~rising, score, 0)
-    best = np.clip(score.argmax(1), 1, score.shape[1] - 2)
     rows = np.arange(len(pixels))
+    best = (score * np.exp(-0.5 * (places / (0.6 * reach + 1)) ** 2)).argmax(1)
+    for _ in range(3):  # nearness chooses among edges, but does not move them
+        around = np.clip(best[:, None] + [-1, 0, 1], 0, score.shape[1] - 1)
+        best = around[rows, score[rows[:, None], around].argmax(1)]
+    best = np.clip(best, 1, score.shape[1] - 2)
     a, b, c = (score[rows, best + i] for i in (-1, 0, 1))
     curve = a - 2 * b + c
     shift = np.where(curve < 0, 0.5 * (a - c) / np.where(curve < 0, curve, 1), 0)

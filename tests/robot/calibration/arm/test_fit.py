@@ -37,5 +37,5 @@ def test_an_arm_that_is_not_in_view():
 def test_pictures_of_other_motions_are_refused():
     shown, other = film([CAMERA] * 3, count=4), film([CAMERA] * 6, count=4)
     wrong = replace(shown, angles=other.angles[12:][::-1].copy())
-    with pytest.raises(DatasetError, match="explain|does not tell"):
+    with pytest.raises(DatasetError, match=r"explain|does not tell"):
         fit_arm(boxed_arm(), wrong)

@@ -26,7 +26,7 @@ def test_a_dataset_gives_the_cameras_pose(place, capsys):
     assert exit_code(*ASKED) == 0
     shown = capsys.readouterr().out
     assert "enough" in shown
-    pose = read_cameras(place / "cameras.json").of((), ("front",)).pose.place
+    pose = read_cameras(place / "cameras.json").views["front"].pose.of(())
     distance, turn = apart(CAMERA, np.asarray(pose))
     assert distance < 0.02
     assert turn < np.deg2rad(1)

@@ -67,7 +67,7 @@ def test_the_lens_is_undone():
     np.testing.assert_allclose(middle, [x * 100 + 60, y * 100 + 40], atol=0.15)
 
 
-def test_large_pictures_become_smaller_with_their_K():
+def test_large_pictures_become_smaller_as_their_intrinsics():
     straight = Straightener(Optics(10 * K, 1200, 800, np.zeros(9)))
     assert straight(np.zeros((800, 1200, 3), np.uint8)).shape == (320, 480, 3)
     np.testing.assert_allclose(straight.K[:2], 4 * K[:2])

@@ -21,7 +21,7 @@ def test_a_camera_that_moved_is_named_and_its_pose_written(tmp_path, monkeypatch
     assert "View front: the camera had moved in episode 2" in shown
     file = read_cameras(tmp_path / "cameras.json")
     assert list(file.episodes) == ["2"]
-    pose = file.of(("2",), ("front",)).pose.place
+    pose = file.episodes["2"]["front"].pose.of(())
     distance, turn = apart(ELSEWHERE, np.asarray(pose))
     assert distance < 0.015
     assert turn < np.deg2rad(0.8)
