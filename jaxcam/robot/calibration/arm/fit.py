@@ -25,6 +25,8 @@ NEAR = 2.0
 """Pixels within which an edge supports a contour, of a picture 256 high."""
 SUPPORT = 0.3
 """Share of the contour that must be supported."""
+CLEARLY, RIVAL = 0.5, 0.85
+"""A pose with so much support is tried alone, if those from other sides explain so much less."""
 UNKNOWN = 0.03, np.deg2rad(3.0)
 """Standard deviations (m, rad) from when on nothing is written."""
 LATE = 0.02
@@ -71,11 +73,13 @@ def fit_arm(arm: ArmModel, film: Film) -> ArmFit:
     refiner = Refiner(arm, film)
     near = NEAR * refiner.scale
     found: list[tuple[float, int, Refined]] = []
-    for i in _sides(poses, overlaps):
+    sides = _sides(poses, overlaps)
+    alone = len(sides) == 1 or overlaps[sides[1]] < RIVAL * overlaps[0]
+    for i in sides:
         start = Solution(poses[i], np.zeros(arm.joints), 0.0)
         refined = refiner.refine(start)
         found.append((refined.support(near), i, refined))
-        if refined.support(near) > 2 * SUPPORT and i == 0:
+        if i == 0 and alone and refined.support(near) > CLEARLY:
             break
     found.sort(key=lambda one: (-one[0], one[1]))
     support, index, best = found[0]

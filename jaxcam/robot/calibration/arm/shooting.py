@@ -9,7 +9,6 @@ import numpy as np
 from jaxcam.data.recorded.recording import Recording, Sight
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.files.paths import read_bytes
-from jaxcam.interop.cameras.files import read_cameras
 from jaxcam.interop.cameras.optics import Optics
 from jaxcam.interrupts import check_stop
 from jaxcam.rays.lens import distort
@@ -41,12 +40,12 @@ def optics_for(recording: Recording, view: str, cameras: Path) -> Optics:
     if sight is None:
         raise DatasetError(f"No episode was seen by view '{view}'.")
     size = sight.width, sight.height
-    said = cameras.exists() and any(
-        name.endswith(view) and entry.optics is not None
-        for name, entry in read_cameras(cameras).views.items()
-    )
-    if said or (sight.calibration is None and (not sight.placement or sight.placement.K is None)):
+    own = sight.calibration is not None or (sight.placement and sight.placement.K is not None)
+    try:
         return optics_of_view(cameras, view, size)
+    except ConfigError:
+        if not own:
+            raise
     if sight.calibration is not None:
         K, lens = sight.calibration.K, sight.calibration.distortion
         return Optics(np.reshape(K, (-1, 3, 3))[0].astype(float), *size, np.asarray(lens))
