@@ -23,11 +23,12 @@ from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.robot.calibration.arm.film import Film
 from jaxcam.robot.calibration.arm.fit import fit_arm
 from jaxcam.robot.calibration.arm.model import load_arm
-from jaxcam.robot.calibration.drift.change import ask, settled, tested
+from jaxcam.robot.calibration.drift.change import ask, judged_changes, settled
 from jaxcam.robot.calibration.projection import apart, moved
 from jaxcam.sim import make_task
 from jaxcam.sim.controllers import CONTROL_HZ
 from jaxcam.sim.mujoco.render import Renderer
+from jaxcam.sim.mujoco.scene import Scene
 from jaxcam.sim.types import View
 
 SIDE, EPISODES, PICTURES, BLUR = 256, 8, 8, 3
@@ -59,6 +60,7 @@ def draw_film(camera: int, path: Path) -> None:
     """Draws and keeps a film."""
     task = make_task("lift")
     scene = task.scene("randomized")
+    assert isinstance(scene, Scene)
     config = CollectConfig(demos=DEMOS, validation=0, n=1, m=0, seed=SEED,
                            data_dir=str(path.parent / "data"))  # fmt: skip
     demos = collect(config, Console())
@@ -87,8 +89,9 @@ def draw_film(camera: int, path: Path) -> None:
         kept["steps"].append(steps)
     episode = np.repeat(np.arange(EPISODES), [len(steps) for steps in kept["steps"]])
     arrays = {name: np.concatenate(parts) for name, parts in kept.items()}
-    np.savez(path, episode=episode, pose=invert(scene.world_from_base) @ world_from_camera, K=K,
-             off=off, **arrays)  # fmt: skip
+    pose = invert(scene.world_from_base) @ world_from_camera
+    np.savez(path, rgb=arrays["rgb"], q=arrays["q"], grip=arrays["grip"], steps=arrays["steps"],
+             episode=episode, pose=pose, K=K, off=off)  # fmt: skip
 
 
 def blurred(demo: Demo, step: int) -> np.ndarray:
@@ -152,7 +155,7 @@ def drift(cameras: range, folder: Path) -> None:
         films = [film.some(film.episodes == e) for e in np.unique(film.episodes)]
         rng = np.random.default_rng(camera)
         first = [ask(robot, one, pose) for one in films]
-        answers = tested(settled(robot, films, first))
+        answers = judged_changes(settled(robot, films, first))
         silent += len(films) - len(answers)
         alarms, quiet = alarms + sum(t.moved for t in answers), quiet + len(answers)
         for kind in found:
@@ -163,7 +166,7 @@ def drift(cameras: range, folder: Path) -> None:
             given = [pose] * 5 + [moved(pose, change)] * (len(films) - 5)
             asked = [*first[:5], *(ask(robot, one, g) for one, g in
                                    zip(films[5:], given[5:], strict=True))]  # fmt: skip
-            late = [t for t in tested(settled(robot, films, asked)) if t.asked.episode >= 5]
+            late = [t for t in judged_changes(settled(robot, films, asked)) if t.asked.episode >= 5]
             found[kind] += [t.moved for t in late] + [False] * (len(films) - 5 - len(late))
         said = {kind: f"{sum(hits)} of {len(hits)}" for kind, hits in found.items()}
         print(f"to camera {camera}: alarms {alarms} of {quiet} episodes, silent {silent}; found "

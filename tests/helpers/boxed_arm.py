@@ -35,6 +35,7 @@ BOXES = (
     ((0.16, 0.045, 0.05), (0.16, 0, 0)),
     ((0.12, 0.06, 0.035), (0.12, 0, 0)),
 )
+COLOURS = ((225, 225, 215), (205, 210, 220), (230, 220, 210))
 SIDE = 160
 K = np.array([[170.0, 0, 80], [0, 170, 80], [0, 0, 1]])
 CAMERA = np.asarray(look_at(np.array([1.15, 0.75, 0.85]), np.array([0.15, 0.0, 0.25])), float)
@@ -77,13 +78,21 @@ def hulls(angles: np.ndarray, camera: np.ndarray) -> list[np.ndarray]:
 
 
 def draw(angles: np.ndarray, camera: np.ndarray, ground: np.ndarray) -> np.ndarray:
-    """A picture, uint8 [SIDE, SIDE, 3], its edges smooth."""
-    big = cv2.resize(ground, (4 * SIDE, 4 * SIDE), interpolation=cv2.INTER_CUBIC)
-    for outline, colour in zip(hulls(angles, camera), ((225, 225, 215), (205, 210, 220),
-                                                       (230, 220, 210)), strict=True):  # fmt: skip
-        corners = np.rint((outline * 4 - 0.5) * 16).astype(np.int32)
-        cv2.fillConvexPoly(big, corners, colour, shift=4)
-    return cv2.resize(big, (SIDE, SIDE), interpolation=cv2.INTER_AREA)
+    """A picture, uint8 [SIDE, SIDE, 3]; what an outline covers of a pixel is by its distance."""
+    y, x = np.mgrid[:SIDE, :SIDE] + 0.5
+    shown = ground.astype(float)
+    for outline, colour in zip(hulls(angles, camera), COLOURS, strict=True):
+        ends = np.roll(outline, -1, 0)
+        along = (ends - outline) / np.linalg.norm(ends - outline, axis=-1, keepdims=True)
+        inside = [
+            a[0] * (y - p[1]) - a[1] * (x - p[0]) for p, a in zip(outline, along, strict=True)
+        ]
+        middle = outline.mean(0)
+        turn = np.sign(along[0, 0] * (middle[1] - outline[0, 1])
+                       - along[0, 1] * (middle[0] - outline[0, 0]))  # fmt: skip
+        covers = np.clip(0.5 + (turn * np.array(inside)).min(0), 0, 1)[..., None]
+        shown = covers * np.array(colour) + (1 - covers) * shown
+    return shown.round().astype(np.uint8)
 
 
 def way(episode: int, count: int) -> np.ndarray:

@@ -89,9 +89,9 @@ def find_edges(
     places = along[0] + (cut - 0.5) * STEP
     rising = (inner**2).sum(-1) < 0.25 * (outer**2).sum(-1)  # the arm lies within
     score = between / (np.maximum(within, 0) + NOISE**2)
-    score = np.where(whole & ~rising, score, 0)
+    score = np.where(whole, score, 0)
     rows = np.arange(len(pixels))
-    best = (score * np.exp(-0.5 * (places / (0.6 * reach + 1)) ** 2)).argmax(1)
+    best = (np.where(rising, 0, score) * np.exp(-0.5 * (places / (0.6 * reach + 1)) ** 2)).argmax(1)
     for _ in range(3):  # nearness chooses among edges, but does not move them
         around = np.clip(best[:, None] + [-1, 0, 1], 0, score.shape[1] - 1)
         best = around[rows, score[rows[:, None], around].argmax(1)]
@@ -101,5 +101,12 @@ def find_edges(
     shift = np.where(curve < 0, 0.5 * (a - c) / np.where(curve < 0, curve, 1), 0)
     offsets = places[best] + np.clip(shift, -1, 1) * STEP
     contrast = np.sqrt(between[rows, best])
-    clear = (b > 0) & (b >= a) & (b >= c) & (contrast > CLEAR * NOISE) & (abs(offsets) <= reach)
+    clear = (
+        ~rising[rows, best]
+        & (b > 0)
+        & (b >= a)
+        & (b >= c)
+        & (contrast > CLEAR * NOISE)
+        & (abs(offsets) <= reach)
+    )
     return Found(offsets, clear, contrast)

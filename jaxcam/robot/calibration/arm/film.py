@@ -1,7 +1,7 @@
 """What is looked at of a camera: some pictures of some episodes, the lens undone, with joints."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -46,8 +46,13 @@ class Film:
 
     def some(self, keep: np.ndarray) -> "Film":
         """Only some of the pictures."""
-        parts = {
-            name: None if getattr(self, name) is None else getattr(self, name)[keep]
-            for name in ("rgb", "angles", "speeds", "opening", "episodes", "steps", "masks")
-        }
-        return Film(self.K, **parts)
+        return replace(
+            self,
+            rgb=self.rgb[keep],
+            angles=self.angles[keep],
+            speeds=self.speeds[keep],
+            opening=None if self.opening is None else self.opening[keep],
+            episodes=self.episodes[keep],
+            steps=self.steps[keep],
+            masks=None if self.masks is None else self.masks[keep],
+        )

@@ -8,15 +8,13 @@ from jaxcam.errors import DatasetError
 from jaxcam.robot.calibration.arm.film import Film
 from jaxcam.robot.calibration.arm.model import ArmModel
 from jaxcam.robot.calibration.arm.refine import Refined, Refiner, Solution
-from jaxcam.robot.calibration.arm.search import Changes, changes_of, search
+from jaxcam.robot.calibration.arm.search import FINE, Changes, changes_of, search
 from jaxcam.robot.calibration.projection import apart
 
 LEAST_MOTION = 0.15
 """Way (rad) between the joints of two pictures that are the farthest apart, which is needed."""
 LEAST_CHANGE = 4.0
 """Coarse cells that change at least, in the mean of the pairs of pictures."""
-TRIED = 3
-"""Sides from which the search's poses are refined."""
 ALIKE = 0.93
 """A pose from elsewhere that is supported so well, against the best, explains it alike."""
 ELSEWHERE = 0.1, np.deg2rad(8)
@@ -26,7 +24,8 @@ NEAR = 2.0
 SUPPORT = 0.3
 """Share of the contour that must be supported."""
 CLEARLY, RIVAL = 0.5, 0.85
-"""A pose with so much support is tried alone, if those from other sides explain so much less."""
+"""A pose with so much support is tried alone, if those from other sides explain less than this
+share of what it does."""
 UNKNOWN = 0.03, np.deg2rad(3.0)
 """Standard deviations (m, rad) from when on nothing is written."""
 LATE = 0.02
@@ -69,17 +68,16 @@ def fit_arm(arm: ArmModel, film: Film) -> ArmFit:
     _check_motion(film)
     changes = changes_of(arm, film)
     _check_changes(film, changes)
-    poses, overlaps = search(changes)
+    poses, overlaps = search(changes, changes_of(arm, film, FINE))
     refiner = Refiner(arm, film)
     near = NEAR * refiner.scale
     found: list[tuple[float, int, Refined]] = []
-    sides = _sides(poses, overlaps)
-    alone = len(sides) == 1 or overlaps[sides[1]] < RIVAL * overlaps[0]
-    for i in sides:
+    rivals = int((overlaps > RIVAL * overlaps[0]).sum())
+    for i in range(min(max(rivals, 2), len(poses))):
         start = Solution(poses[i], np.zeros(arm.joints), 0.0)
         refined = refiner.refine(start)
         found.append((refined.support(near), i, refined))
-        if i == 0 and alone and refined.support(near) > CLEARLY:
+        if rivals == 1 and refined.support(near) > CLEARLY:
             break
     found.sort(key=lambda one: (-one[0], one[1]))
     support, index, best = found[0]
@@ -103,19 +101,6 @@ def fit_arm(arm: ArmModel, film: Film) -> ArmFit:
             "in which more of the arm moves farther in the picture."
         )
     return fit
-
-
-def _sides(poses: np.ndarray, overlaps: np.ndarray) -> list[int]:
-    """The best pose of each of a few sides."""
-    chosen: list[int] = []
-    for i, pose in enumerate(poses):
-        away = [apart(pose, poses[j]) for j in chosen]
-        is_new = all(p > 2 * ELSEWHERE[0] or t > 2 * ELSEWHERE[1] for p, t in away)
-        if is_new and overlaps[i] > 0.6 * overlaps[0]:
-            chosen.append(i)
-        if len(chosen) == TRIED:
-            break
-    return chosen
 
 
 def _check_motion(film: Film) -> None:

@@ -4,6 +4,7 @@ MuJoCo reads MJCF and URDF alike. What no joint moves (the base, a pedestal) is 
 same in all pictures. The base frame is that of the body in which the first moving body sits.
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +14,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from jaxcam.errors import ConfigError, closest
+from jaxcam.files.paths import read_text
 from jaxcam.robot.calibration.projection import pose_of
 
 PANDA = "panda"
@@ -59,10 +61,10 @@ class ArmModel:
         known: bool = True,
     ) -> None:
         self._model, self._data = model, mujoco.MjData(model)
-        known = [model.joint(i).name for i in range(model.njnt)]
+        names = [model.joint(i).name for i in range(model.njnt)]
         for name in (*arm, *fingers):
-            if name not in known:
-                raise ConfigError(f"The robot has no joint {name!r}{closest(name, known)}.")
+            if name not in names:
+                raise ConfigError(f"The robot has no joint {name!r}{closest(name, names)}.")
         self._arm = np.array([model.joint(name).qposadr[0] for name in arm], int)
         self._fingers = np.array([model.joint(name).qposadr[0] for name in fingers], int)
         self._ranges = np.array([model.joint(name).range for name in fingers]).reshape(-1, 2)
@@ -135,11 +137,8 @@ def load_arm(robot: str, *, fingers: bool = True) -> ArmModel:
             f"--robot {robot}: no such file. Expected {PANDA}, or an MJCF (.xml) or URDF file."
         )
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        spec.compiler.discardvisual = False
-        spec.compiler.fusestatic = False
-        model = spec.compile()
-    except ValueError as error:
+        model = _spec(path).compile()
+    except (ValueError, OSError) as error:
         raise ConfigError(f"--robot {path}: MuJoCo cannot read it: {error}") from error
     kinds = {model.joint(i).name: int(model.joint(i).type[0]) for i in range(model.njnt)}
     hinges = [name for name, kind in kinds.items() if kind == mujoco.mjtJoint.mjJNT_HINGE]
@@ -147,6 +146,19 @@ def load_arm(robot: str, *, fingers: bool = True) -> ArmModel:
     if not hinges:
         raise ConfigError(f"--robot {path}: no joint that turns.")
     return ArmModel(model, "", hinges, slides, known=fingers)
+
+
+def _spec(path: Path) -> mujoco.MjSpec:
+    """A robot's file as it is, what is only seen included, which MuJoCo leaves out of a URDF."""
+    if path.suffix.lower() != ".urdf":
+        return mujoco.MjSpec.from_file(str(path))
+    text = read_text(path)
+    if "<mujoco" not in text:
+        kept = '<mujoco><compiler discardvisual="false" fusestatic="false"/></mujoco>'
+        text = re.sub(r"(<robot\b[^>]*>)", lambda tag: tag[1] + kept, text, count=1)
+    spec = mujoco.MjSpec.from_string(text)
+    spec.modelfiledir = str(path.parent)
+    return spec
 
 
 def _moved_by(model: mujoco.MjModel, bodies: set[int]) -> set[int]:

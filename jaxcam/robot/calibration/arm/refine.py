@@ -13,7 +13,7 @@ from jaxcam.robot.calibration.arm.model import ArmModel
 from jaxcam.robot.calibration.arm.surface import Contour, Surface, contour, silhouette
 from jaxcam.robot.calibration.projection import moved, placed, spread_of
 
-REACHES = (14.0, 10.0, 7.0, 5.0, 4.0)
+REACHES = (20.0, 14.0, 9.0, 6.0, 4.0, 4.0)
 """Pixels that edges are looked for within, round by round, of a picture 256 high."""
 JOINT = np.deg2rad(0.3)
 """Standard deviation of a joint's constant fault before anything was seen (rad)."""

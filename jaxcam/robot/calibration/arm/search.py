@@ -32,10 +32,16 @@ SPACING = 0.035
 """Distance (m) between samples of the arm."""
 AZIMUTHS, ELEVATIONS, DISTANCES = 30, (5, 20, 35, 50, 65, 80), (0.5, 0.7, 1.0, 1.4, 2.0, 2.8)
 """Sides, degrees above the horizon, and metres from the arm, that are tried."""
-KEPT, ROUNDS, VARIED = 24, 7, 16
-"""Poses that are kept, how often they are varied, and into how many each."""
-SIDE = np.deg2rad(25)
-"""Poses seen from the arm within this angle are of one side (rad)."""
+SIDES, APART = 4, np.deg2rad(35)
+"""Sides of the arm from which poses are improved, and the angle between them (rad)."""
+ROUNDS, DRAWN, ELITE = 11, 64, 10
+"""How often a pose is improved, by how many draws, and of those, the best."""
+WIDE = (0.25, 0.25, 0.25, 0.08, 0.08, 0.2)
+"""Spread of the first draws: of turns about the arm, pan and tilt (rad), and of the distance."""
+FINE, FINER = 2.0, 0.5
+"""Cells of the second search are so many times as fine, and its first draws spread so much less."""
+LIKELY = 0.8
+"""A side that explains less than this share of the best one is not searched again."""
 AT_ONCE = 64
 """Poses that are tried at a time."""
 
@@ -80,14 +86,20 @@ class Changes:
         return both / (changed.sum((1, 2)) + self.seen.sum() - both + 1e-6)
 
 
-def changes_of(arm: ArmModel, film: Film) -> Changes:
-    """What changes between the pictures of each episode that are farthest apart."""
+def changes_of(arm: ArmModel, film: Film, fine: float = 1.0) -> Changes:
+    """What changes between the pictures of each episode that are farthest apart.
+
+    Args:
+        arm: The robot.
+        film: The pictures.
+        fine: How many times as fine cells are than usual.
+    """
     pairs = [pair for rows in film.by_episode() for pair in _far_apart(film.angles[rows], rows)]
     way = [-float(np.linalg.norm(film.angles[a] - film.angles[b])) for a, b in pairs]
     pairs = [pairs[i] for i in sorted(np.argsort(way, kind="stable")[:IN_ALL])]
     first, second = np.array(pairs).T
     width, height = film.size
-    cell = max(width, height) / CELLS
+    cell = max(width, height) / (CELLS * fine)
     grid = int(np.ceil(width / cell)), int(np.ceil(height / cell))
     seen = []
     for a, b in pairs:
@@ -95,7 +107,7 @@ def changes_of(arm: ArmModel, film: Film) -> Changes:
         whole = np.zeros((round(grid[1] * cell), round(grid[0] * cell)), np.float32)
         whole[:height, :width] = part[: whole.shape[0], : whole.shape[1]]
         seen.append(cv2.resize(whole, grid, interpolation=cv2.INTER_AREA).ravel())
-    points, owners = Surface.of(arm.parts).samples(SPACING)
+    points, owners = Surface.of(arm.parts).samples(SPACING / fine)
     poses = arm.poses(film.angles[np.r_[first, second]], _some(film.opening, first, second))
     where = np.stack([placed(row[owners], points[:, None])[:, 0] for row in poses])
     return Changes(np.stack(seen), where.astype(np.float32), grid, cell, film.K)
@@ -128,46 +140,68 @@ def _far_apart(angles: np.ndarray, rows: np.ndarray) -> Iterator[tuple[int, int]
         far[a, b] = far[b, a] = 0
 
 
-def search(changes: Changes, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """The poses that explain most, the best first.
+def search(changes: Changes, finer: Changes, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """The poses that explain most, one from each of a few sides, the best first.
 
     Args:
-        changes: What changes in the pictures.
+        changes: What changes in the pictures, in coarse cells.
+        finer: The same in finer ones.
         seed: Of the variations.
 
     Returns:
-        Poses [k, 4, 4], and how well they fit [k]; k is at most `KEPT`.
+        Poses [k, 4, 4], and how well they fit [k]; k is at most `SIDES`.
     """
     rng = np.random.default_rng(seed)
-    poses = _around(changes)
+    middle = _moving_middle(changes)
+    poses = _around(changes, middle)
     fits = changes.fits(poses)
-    middle = changes.points.reshape(-1, 3).mean(0).astype(float)
-    poses, fits = _best(poses, fits, middle)
-    for round_ in range(ROUNDS):
-        wide = 0.6**round_
-        more = np.concatenate([_varied(pose, middle, wide, rng) for pose in poses])
-        poses = np.concatenate([poses, more])
-        fits = np.concatenate([fits, changes.fits(more)])
-        poses, fits = _best(poses, fits, middle)
-    return poses, fits
-
-
-def _best(poses: np.ndarray, fits: np.ndarray, middle: np.ndarray) -> tuple[np.ndarray, ...]:
-    """The poses that fit best, the best first; of one side of the arm at most a third."""
     ways = poses[:, :3, 3] - middle
     ways /= np.linalg.norm(ways, axis=-1, keepdims=True)
-    kept: list[int] = []
+    chosen: list[int] = []
     for i in np.argsort(-fits):
-        if len(kept) == KEPT:
+        if all(ways[j] @ ways[i] < np.cos(APART) for j in chosen):
+            chosen.append(int(i))
+        if len(chosen) == SIDES:
             break
-        if not kept or (ways[kept] @ ways[i] > np.cos(SIDE)).sum() < KEPT // 3:
-            kept.append(int(i))
-    return poses[kept], fits[kept]
+    rough = [_improved(changes, poses[i], middle, rng) for i in chosen]
+    most = max(fit for _, fit in rough)
+    best = [
+        _improved(finer, pose, middle, rng, FINER) for pose, fit in rough if fit > LIKELY * most
+    ]
+    best.sort(key=lambda one: -one[1])
+    return np.stack([pose for pose, _ in best]), np.array([fit for _, fit in best])
 
 
-def _around(changes: Changes) -> np.ndarray:
+def _improved(
+    changes: Changes,
+    pose: np.ndarray,
+    middle: np.ndarray,
+    rng: np.random.Generator,
+    share: float = 1.0,
+) -> tuple[np.ndarray, float]:
+    """The best pose near one: draws from a normal distribution that follows the best of them."""
+    mean, spread = np.zeros(6), np.diag(np.square(share * np.array(WIDE)))
+    best, fit = pose, float(changes.fits(pose[None])[0])
+    for _ in range(ROUNDS):
+        steps = rng.multivariate_normal(mean, spread, DRAWN)
+        poses = _varied(pose, middle, steps)
+        fits = changes.fits(poses)
+        order = np.argsort(-fits)[:ELITE]
+        if fits[order[0]] > fit:
+            best, fit = poses[order[0]], float(fits[order[0]])
+        mean = steps[order].mean(0)
+        spread = np.cov(steps[order].T) * 1.2 + np.diag(np.square(0.01 * share * np.array(WIDE)))
+    return best, fit
+
+
+def _moving_middle(changes: Changes) -> np.ndarray:
+    """Where the arm moves: the middle of that half of its points that moves most."""
+    moves = np.ptp(changes.points, axis=0).sum(-1)
+    return changes.points[:, moves > np.median(moves)].reshape(-1, 3).mean(0).astype(float)
+
+
+def _around(changes: Changes, middle: np.ndarray) -> np.ndarray:
     """Poses all around the arm, from which what moves is where something changes."""
-    middle = changes.points.reshape(-1, 3).mean(0).astype(float)
     w, h = changes.grid
     y, x = np.divmod(np.arange(w * h), w)
     weights = changes.seen.sum(0)
@@ -176,9 +210,6 @@ def _around(changes: Changes) -> np.ndarray:
     K = changes.K
     ray = np.array([(centre[0] - K[0, 2]) / K[0, 0], (centre[1] - K[1, 2]) / K[1, 1], 1.0])
     ahead = Rotation.align_vectors(ray / np.linalg.norm(ray), [0, 0, 1.0])[0].as_matrix()
-    # Of all moving points, those that move most: the outer half.
-    moves = np.ptp(changes.points, axis=0).sum(-1)
-    middle = changes.points[:, moves > np.median(moves)].reshape(-1, 3).mean(0).astype(float)
     poses = []
     for azimuth in np.linspace(-np.pi, np.pi, AZIMUTHS, endpoint=False):
         for elevation in np.deg2rad(ELEVATIONS):
@@ -191,15 +222,12 @@ def _around(changes: Changes) -> np.ndarray:
     return np.stack(poses)
 
 
-def _varied(
-    pose: np.ndarray, middle: np.ndarray, wide: float, rng: np.random.Generator
-) -> np.ndarray:
-    """A pose, varied: turned about what it looks at, nearer or farther, and turned in itself."""
-    poses = np.tile(pose, (VARIED, 1, 1))
-    about = Rotation.from_rotvec(rng.normal(0, 0.15 * wide, (VARIED, 3))).as_matrix()
-    own = Rotation.from_rotvec(rng.normal(0, 0.04 * wide, (VARIED, 3)) * [1, 1, 2]).as_matrix()
-    scale = np.exp(rng.normal(0, 0.15 * wide, (VARIED, 1)))
-    out = (pose[:3, 3] - middle) * scale
+def _varied(pose: np.ndarray, middle: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """A pose, varied by steps [n, 6]: turned about a point, panned and tilted, or nearer."""
+    poses = np.tile(pose, (len(steps), 1, 1))
+    about = Rotation.from_rotvec(steps[:, :3]).as_matrix()
+    own = Rotation.from_rotvec(np.c_[steps[:, 3:5], np.zeros(len(steps))]).as_matrix()
+    out = (pose[:3, 3] - middle) * np.exp(steps[:, 5:])
     poses[:, :3, 3] = middle + (about @ out[..., None])[..., 0]
     poses[:, :3, :3] = about @ pose[:3, :3] @ own
     return poses

@@ -141,7 +141,7 @@ def settled(arm: ArmModel, films: Sequence[Film], first: Sequence[Asked]) -> lis
     ]
 
 
-def tested(asked: Sequence[Asked]) -> list[Tested]:
+def judged_changes(asked: Sequence[Asked]) -> list[Tested]:
     """Which episodes had the camera elsewhere.
 
     Args:

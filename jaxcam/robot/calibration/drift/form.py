@@ -27,9 +27,9 @@ from jaxcam.robot.calibration.drift.change import (
     Asked,
     Tested,
     ask,
+    judged_changes,
     runs_of,
     settled,
-    tested,
 )
 from jaxcam.robot.calibration.figures import space_figure
 from jaxcam.robot.calibration.page import CalibrationPage, page_path, spread_out, write_calibration
@@ -147,7 +147,7 @@ def drift_of(
     assert optics is not None
     asked = settled(arm, films, first)
     silent = [a for a in asked if not a.clear]
-    return ViewDrift(view, tested(asked), silent, optics)
+    return ViewDrift(view, judged_changes(asked), silent, optics)
 
 
 def overrides(drifts: list[ViewDrift]) -> Changes:

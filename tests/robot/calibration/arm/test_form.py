@@ -51,5 +51,5 @@ def test_a_dataset_gives_the_cameras_pose(place, capsys):
 def test_what_does_not_go_together_is_said(place, capsys, more, message):
     before = (place / "cameras.json").read_text()
     assert exit_code(*ASKED, *more) != 0
-    assert message in " ".join(capsys.readouterr().err.split())
+    assert message in " ".join(capsys.readouterr().err.replace("│", " ").split())
     assert (place / "cameras.json").read_text() == before

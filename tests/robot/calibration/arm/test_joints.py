@@ -25,7 +25,7 @@ def episode(*row):
         (("joint_2", "joint_1", "grip_x", "opening"), (1, 0), 3, False),
         (("panda_joint1", "panda_joint2", "gripper"), (0, 1), 2, True),
         (("joint_positions_0", "joint_positions_1"), (0, 1), None, False),
-        (("x", "q1.pos", "q2.pos", "gripper_position"), (1, 2), 3, False),
+        (("x", "q1.pos", "q2.pos", "gripper_position"), (1, 2), 3, True),
     ],
 )
 def test_by_their_names(names, angles, opening, closes):

@@ -4,13 +4,18 @@ import numpy as np
 import pytest
 from boxed_arm import CAMERA, SIDE, boxed_arm, film
 
-from jaxcam.robot.calibration.arm.search import changed, changes_of, search
+from jaxcam.robot.calibration.arm.search import FINE, changed, changes_of, search
 from jaxcam.robot.calibration.projection import apart, moved
 
 
 @pytest.fixture(scope="module")
 def changes():
     return changes_of(boxed_arm(), film([CAMERA] * 3))
+
+
+@pytest.fixture(scope="module")
+def finer():
+    return changes_of(boxed_arm(), film([CAMERA] * 3), FINE)
 
 
 def test_the_true_pose_explains_most(changes):
@@ -26,11 +31,11 @@ def test_a_camera_that_looks_away_explains_nothing(changes):
     assert changes.fits(away[None])[0] < 0.01
 
 
-def test_the_search_comes_near(changes):
-    poses, fits = search(changes)
+def test_the_search_comes_near(changes, finer):
+    poses, fits = search(changes, finer)
     place, turn = apart(CAMERA, poses[0])
-    assert place < 0.35
-    assert turn < np.deg2rad(20)
+    assert place < 0.15
+    assert turn < np.deg2rad(10)
     assert (np.diff(fits) <= 0).all()
 
 

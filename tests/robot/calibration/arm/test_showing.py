@@ -19,4 +19,4 @@ def test_contours_are_drawn_on_pictures_and_residuals_beside_them():
     drawn = (abs(shown[first].astype(int) - FITTED).max(-1) < 40).sum()
     assert drawn > 100
     axes = [ax for ax in edge_figure(refined).axes if isinstance(ax, Axes)]
-    assert [ax.get_title() for ax in axes] == ["Edges less contours", "Picture by picture"]
+    assert [ax.get_title("left") for ax in axes] == ["Edges less contours", "Picture by picture"]

@@ -37,7 +37,7 @@ def test_a_contour_lies_on_the_outline_and_looks_outwards():
     for pixel, normal in zip(found.pixels, found.normals, strict=True):
         distances = [abs(cv2.pointPolygonTest(o, tuple(map(float, pixel)), True)) for o in outlines]
         assert min(distances) < 0.02
-        out, inside = pixel + 3 * normal, pixel - 3 * normal
+        out, inside = pixel + 2.5 * normal, pixel - 1.5 * normal
         assert not true[int(out[1]), int(out[0])]
         assert true[int(inside[1]), int(inside[0])]
 
