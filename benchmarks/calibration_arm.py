@@ -23,7 +23,7 @@ from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.robot.calibration.arm.film import Film
 from jaxcam.robot.calibration.arm.fit import fit_arm
 from jaxcam.robot.calibration.arm.model import load_arm
-from jaxcam.robot.calibration.drift.change import ask, judged_changes, settled
+from jaxcam.robot.calibration.drift.change import ask, judged_changes, with_common_joints
 from jaxcam.robot.calibration.projection import apart, moved
 from jaxcam.sim import make_task
 from jaxcam.sim.controllers import CONTROL_HZ
@@ -143,22 +143,22 @@ def arm(cameras: range, folder: Path) -> tuple[tuple[str, ...], np.ndarray]:
 
 
 def drift(cameras: range, folder: Path) -> None:
-    """False alarms of episodes in which nothing moved, and moves of 1 degree or 1 cm found.
+    """False alarms of episodes in which nothing moved, and moves of 1 degree or 1 cm hits_of.
 
     In each trial the camera is said to be elsewhere than it was in the last three of eight
     episodes, by a turn or a shift in a direction drawn at random.
     """
     robot = load_arm("panda")
-    alarms, quiet, found, silent = 0, 0, {"turn": [], "shift": []}, 0
+    alarms, quiet, hits_of, silent = 0, 0, {"turn": [], "shift": []}, 0
     for camera in cameras:
         film, pose, _ = film_of(camera, folder)
         films = [film.some(film.episodes == e) for e in np.unique(film.episodes)]
         rng = np.random.default_rng(camera)
         first = [ask(robot, one, pose) for one in films]
-        answers = judged_changes(settled(robot, films, first))
+        answers = judged_changes(with_common_joints(robot, films, first))
         silent += len(films) - len(answers)
         alarms, quiet = alarms + sum(t.moved for t in answers), quiet + len(answers)
-        for kind in found:
+        for kind in hits_of:
             way = rng.normal(size=3)
             way /= np.linalg.norm(way)
             change = np.r_[0.01 * way, np.zeros(3)] if kind == "shift" else np.r_[
@@ -166,11 +166,15 @@ def drift(cameras: range, folder: Path) -> None:
             given = [pose] * 5 + [moved(pose, change)] * (len(films) - 5)
             asked = [*first[:5], *(ask(robot, one, g) for one, g in
                                    zip(films[5:], given[5:], strict=True))]  # fmt: skip
-            late = [t for t in judged_changes(settled(robot, films, asked)) if t.asked.episode >= 5]
-            found[kind] += [t.moved for t in late] + [False] * (len(films) - 5 - len(late))
-        said = {kind: f"{sum(hits)} of {len(hits)}" for kind, hits in found.items()}
+            late = [
+                t
+                for t in judged_changes(with_common_joints(robot, films, asked))
+                if t.asked.episode >= 5
+            ]
+            hits_of[kind] += [t.moved for t in late] + [False] * (len(films) - 5 - len(late))
+        said = {kind: f"{sum(hits)} of {len(hits)}" for kind, hits in hits_of.items()}
         print(f"to camera {camera}: alarms {alarms} of {quiet} episodes, silent {silent}; found "
               f"{said}", flush=True)  # fmt: skip
-    for kind, hits in found.items():
+    for kind, hits in hits_of.items():
         print(f"{kind} found in {np.mean(hits):.0%} of {len(hits)} episodes")
     print(f"false alarms in {alarms / max(quiet, 1):.1%} of {quiet} episodes")

@@ -13,7 +13,7 @@ from jaxcam.checks.recorded.judged import Judged, called, names
 from jaxcam.data.recorded.recording import Recording
 from jaxcam.robot.calibration.arm.form import arm_for
 from jaxcam.robot.calibration.arm.joints import joint_numbers
-from jaxcam.robot.calibration.drift.form import ViewDrift, drift_of, standing
+from jaxcam.robot.calibration.drift.form import ViewDrift, drift_of
 
 WHAT = "standing still"
 PICTURES = 6
@@ -52,7 +52,7 @@ def check_drift(
     columns = joint_numbers(recording, "", "")
     arm = arm_for(robot, columns)
     for view in views:
-        some = [e for e in standing(recording, view) if e in set(episodes)]
+        some = [e for e in episodes_standing(recording, view) if e in set(episodes)]
         if some:
             yield from _judge(recording, drift_of(recording, view, some, arm, columns, PICTURES))
 

@@ -17,10 +17,10 @@ def test_the_arm_names_the_episode_in_which_a_camera_stood_elsewhere(tmp_path, m
     write_boxed(tmp_path, monkeypatch, [CAMERA, CAMERA, ELSEWHERE], CAMERA)
     recording = read_recording(tmp_path / "data", tmp_path / "cameras.json")
     arm = str(tmp_path / "arm.xml")
-    (found,) = check_drift(recording, ["front"], [0, 1, 2], arm)
-    assert found.finding.mark == "bad"
-    assert found.episodes == (2,)
-    assert "by the arm, it stood" in found.finding.got
+    (got,) = check_drift(recording, ["front"], [0, 1, 2], arm)
+    assert got.finding.mark == "bad"
+    assert got.episodes == (2,)
+    assert "by the arm, it stood" in got.finding.got
     (still,) = check_drift(recording, ["front"], [0, 1], arm)
     assert still.finding.mark == "good"
 

@@ -32,7 +32,7 @@ class Found:
     """By how much its sides differ (levels), [n]."""
 
 
-def background(rgb: np.ndarray, covered: np.ndarray) -> np.ndarray:
+def behind_arm(rgb: np.ndarray, covered: np.ndarray) -> np.ndarray:
     """What is behind the arm, float32 [h, w, 3]: the median of what it does not cover.
 
     Args:

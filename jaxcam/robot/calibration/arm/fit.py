@@ -8,7 +8,7 @@ from jaxcam.errors import DatasetError
 from jaxcam.robot.calibration.arm.film import Film
 from jaxcam.robot.calibration.arm.model import ArmModel
 from jaxcam.robot.calibration.arm.refine import Refined, Refiner, Solution
-from jaxcam.robot.calibration.arm.search import FINE, Changes, changes_of, search
+from jaxcam.robot.calibration.arm.search import FINE, MotionCells, changes_of, search
 from jaxcam.robot.calibration.projection import apart
 
 LEAST_MOTION = 0.15
@@ -34,7 +34,7 @@ LATE = 0.02
 
 @dataclass(frozen=True)
 class ArmFit:
-    """A camera, found by the arm's motion."""
+    """A camera, tried by the arm's motion."""
 
     refined: Refined
     support: float
@@ -71,20 +71,20 @@ def fit_arm(arm: ArmModel, film: Film) -> ArmFit:
     poses, overlaps = search(changes, changes_of(arm, film, FINE))
     refiner = Refiner(arm, film)
     near = NEAR * refiner.scale
-    found: list[tuple[float, int, Refined]] = []
+    tried: list[tuple[float, int, Refined]] = []
     rivals = int((overlaps > RIVAL * overlaps[0]).sum())
     for i in range(min(max(rivals, 2), len(poses))):
         start = Solution(poses[i], np.zeros(arm.joints), 0.0)
         refined = refiner.refine(start)
-        found.append((refined.support(near), i, refined))
+        tried.append((refined.support(near), i, refined))
         if rivals == 1 and refined.support(near) > CLEARLY:
             break
-    found.sort(key=lambda one: (-one[0], one[1]))
-    support, index, best = found[0]
+    tried.sort(key=lambda one: (-one[0], one[1]))
+    support, index, best = tried[0]
     fit = ArmFit(best, support, float(overlaps[index]), film)
     if support < SUPPORT:
         raise DatasetError(_unexplained(arm, film, fit, poses))
-    for other, _, refined in found[1:]:
+    for other, _, refined in tried[1:]:
         place, turn = apart(fit.base_from_camera, refined.solution.base_from_camera)
         if other > ALIKE * support and (place > ELSEWHERE[0] or turn > ELSEWHERE[1]):
             raise DatasetError(
@@ -116,12 +116,13 @@ def _check_motion(film: Film) -> None:
         )
 
 
-def _check_changes(film: Film, changes: Changes) -> None:
-    change = float(changes.seen.sum(1).mean())
+def _check_changes(film: Film, changes: MotionCells) -> None:
+    change = float(changes.share.sum(1).mean())
     if change < LEAST_CHANGE:
         raise DatasetError(
             f"The arm is not in view, or hardly: while its joints move, {change:.1f} of "
-            f"{changes.seen.shape[1]} parts of the picture change, expected {LEAST_CHANGE:.0f} and "
+            f"{changes.share.shape[1]} parts of the picture change, expected "
+            f"{LEAST_CHANGE:.0f} and "
             f"more, in {len(np.unique(film.episodes))} episodes. Look at the pictures of this "
             "view: a camera that sees little of the arm, or pictures that stand still."
         )

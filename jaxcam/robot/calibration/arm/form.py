@@ -95,14 +95,14 @@ def arm_for(robot: str, columns: JointNumbers) -> ArmModel:
 def _episodes(
     recording: Recording, config: ArmConfig, masks: dict[tuple[int, int], np.ndarray] | None
 ) -> list[int]:
-    seen = [i for i, e in enumerate(recording.episodes) if config.view in e.sights]
+    numbers = [i for i, e in enumerate(recording.episodes) if config.view in e.sights]
     if masks is not None:
-        seen = [i for i in seen if any(e == i for e, _ in masks)]
-        if not seen:
+        numbers = [i for i in numbers if any(e == i for e, _ in masks)]
+        if not numbers:
             raise DatasetError(
                 f"--masks {Path(config.masks).name}: of no episode that view '{config.view}' saw."
             )
-    return [seen[i] for i in spread_out(len(seen), config.episodes)]
+    return [numbers[i] for i in spread_out(len(numbers), config.episodes)]
 
 
 def _about(fit: ArmFit) -> dict[str, object]:

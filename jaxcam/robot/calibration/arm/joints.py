@@ -51,10 +51,10 @@ def joint_numbers(recording: Recording, joints: str, opening: str) -> JointNumbe
             )
     if opening:
         return JointNumbers(columns, _asked("--opening", opening, len(names))[0])
-    found = [i for i, n in enumerate(names) if _OPENING.match(n) and i not in columns]
-    if len(found) != 1:
+    matches = [i for i, n in enumerate(names) if _OPENING.match(n) and i not in columns]
+    if len(matches) != 1:
         return JointNumbers(columns, None)
-    return JointNumbers(columns, found[0], closes="gripper" in names[found[0]])
+    return JointNumbers(columns, matches[0], closes="gripper" in names[matches[0]])
 
 
 def _asked(flag: str, text: str, count: int) -> tuple[int, ...]:

@@ -26,7 +26,7 @@ _FINE = 24
 
 
 @dataclass(frozen=True)
-class Part:
+class LinkSurface:
     """The surface of a link that a joint moves."""
 
     body: int
@@ -173,12 +173,12 @@ def _moved_by(model: mujoco.MjModel, bodies: set[int]) -> set[int]:
     return moved
 
 
-def _part(model: mujoco.MjModel, body: int) -> Part | None:
+def _part(model: mujoco.MjModel, body: int) -> LinkSurface | None:
     """The surface of a body: of its visual shapes if there are such, else of all."""
     geoms = [g for g in range(model.ngeom) if model.geom_bodyid[g] == body]
-    seen = [g for g in geoms if not model.geom_contype[g] and not model.geom_conaffinity[g]]
+    visual = [g for g in geoms if not model.geom_contype[g] and not model.geom_conaffinity[g]]
     vertices, faces, first = [], [], 0
-    for geom in seen or geoms:
+    for geom in visual or geoms:
         shape = _shape(model, geom)
         if shape is None:
             continue
@@ -192,7 +192,7 @@ def _part(model: mujoco.MjModel, body: int) -> Part | None:
     return _welded(body, np.concatenate(vertices), np.concatenate(faces))
 
 
-def _welded(body: int, vertices: np.ndarray, faces: np.ndarray) -> Part:
+def _welded(body: int, vertices: np.ndarray, faces: np.ndarray) -> LinkSurface:
     """A part without details finer than `GRID`, whose triangles share their vertices."""
     _, index = np.unique(np.round(vertices / GRID), axis=0, return_inverse=True)
     index = index.reshape(-1)
@@ -201,7 +201,7 @@ def _welded(body: int, vertices: np.ndarray, faces: np.ndarray) -> Part:
     faces = index[faces]
     faces = faces[(faces != np.roll(faces, 1, 1)).all(1)]
     _, once = np.unique(np.sort(faces, 1), axis=0, return_index=True)
-    return Part(body, middles, faces[once])
+    return LinkSurface(body, middles, faces[once])
 
 
 def _shape(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.ndarray] | None:

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from jaxcam.interrupts import check_stop
-from jaxcam.robot.calibration.arm.edges import background, find_edges
+from jaxcam.robot.calibration.arm.edges import behind_arm, find_edges
 from jaxcam.robot.calibration.arm.film import Film
 from jaxcam.robot.calibration.arm.model import ArmModel
 from jaxcam.robot.calibration.arm.surface import Contour, Surface, contour, silhouette
@@ -16,7 +16,7 @@ from jaxcam.robot.calibration.projection import moved, placed, spread_of
 REACHES = (20.0, 14.0, 9.0, 6.0, 4.0, 4.0)
 """Pixels that edges are looked for within, round by round, of a picture 256 high."""
 JOINT = np.deg2rad(0.3)
-"""Standard deviation of a joint's constant fault before anything was seen (rad)."""
+"""Standard deviation of a joint's constant fault before anything was looked (rad)."""
 LAG = 0.05
 """Likewise of the time between pictures and states (s)."""
 SAMPLES = 0.01
@@ -56,7 +56,7 @@ class Solution:
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of joints and clock before anything was seen."""
+    """What is known of joints and clock before anything was looked."""
 
     joints: np.ndarray
     """Their faults (rad), [joints]."""
@@ -114,12 +114,12 @@ class Refiner:
             check_stop()
             differences = self._differences(episode, covered[episode])
             for i, difference in zip(episode, differences, strict=True):
-                found = contour(
+                outline = contour(
                     self.surface, inverse @ poses[i], self.film.K, masks[i], spacing=3 * self.scale
                 )
-                edges = find_edges(difference, found.pixels, found.normals, reach)
-                contours.append(found)
-                rows.append(np.full(len(found.pixels), i))
+                edges = find_edges(difference, outline.pixels, outline.normals, reach)
+                contours.append(outline)
+                rows.append(np.full(len(outline.pixels), i))
                 offsets.append(edges.offsets)
                 clear.append(edges.clear)
         return Seen(contours, np.concatenate(rows), np.concatenate(offsets), np.concatenate(clear))
@@ -131,11 +131,11 @@ class Refiner:
                 yield np.repeat(MASK * mask[..., None].astype(np.float32), 3, 2)
             return
         pictures = self.film.rgb[episode]
-        behind = background(pictures, covered)
+        behind = behind_arm(pictures, covered)
         for picture in pictures:
             yield picture.astype(np.float32) - behind
 
-    def slopes(self, solution: Solution, seen: Seen) -> np.ndarray:
+    def slopes(self, solution: Solution, looked: Seen) -> np.ndarray:
         """By how much contour points move along their normals, [n, 6 + joints + 1].
 
         Of small motions of the camera as in `moved`, of the joints, and of the lag.
@@ -148,19 +148,19 @@ class Refiner:
         ]
         inverse, K = np.linalg.inv(solution.base_from_camera), self.film.K
         parts = []
-        at = np.cumsum([0, *(len(c.pixels) for c in seen.contours)])
-        for number, found in enumerate(seen.contours):
-            if not len(found.pixels):
+        at = np.cumsum([0, *(len(c.pixels) for c in looked.contours)])
+        for number, outline in enumerate(looked.contours):
+            if not len(outline.pixels):
                 continue
-            i = seen.rows[at[number]]
-            there = placed(inverse @ poses[i][found.owners], found.points[:, None])[:, 0]
+            i = looked.rows[at[number]]
+            there = placed(inverse @ poses[i][outline.owners], outline.points[:, None])[:, 0]
             x, y, z = there.T
             flat = np.zeros((len(x), 2, 3))
             flat[:, 0, 0], flat[:, 0, 2] = 1 / z, -x / z**2
             flat[:, 1, 1], flat[:, 1, 2] = 1 / z, -y / z**2
-            along = np.einsum("ni,ij,njk->nk", found.normals, K[:2, :2], flat)
+            along = np.einsum("ni,ij,njk->nk", outline.normals, K[:2, :2], flat)
             joints = np.stack([
-                placed_direction(inverse, d[i][found.owners], found.points) for d in turned
+                placed_direction(inverse, d[i][outline.owners], outline.points) for d in turned
             ], -1)  # fmt: skip
             joints = np.einsum("nk,nkj->nj", along, joints)
             lag = joints @ self.film.speeds[i]
@@ -184,9 +184,9 @@ class Refiner:
         prior = prior or Prior(np.zeros(self.arm.joints))
         refined = None
         for reach in reaches:
-            seen = self.look(solution, reach * self.scale)
-            slopes = self.slopes(solution, seen)
-            refined = solve(solution, slopes, seen, reach * self.scale / 4, prior)
+            looked = self.look(solution, reach * self.scale)
+            slopes = self.slopes(solution, looked)
+            refined = solve_pose(solution, slopes, looked, reach * self.scale / 4, prior)
             solution = refined.solution
         assert refined is not None
         return refined
@@ -205,7 +205,7 @@ class Refined:
     solution: Solution
     covariance: np.ndarray = field(repr=False)
     """Of small motions of the camera as in `moved`, [6, 6]."""
-    seen: Seen = field(repr=False)
+    looked: Seen = field(repr=False)
     """The contours of the round before, and their edges."""
     left: np.ndarray = field(repr=False)
     """What the solution leaves of the offsets (pixels), [n]."""
@@ -222,17 +222,19 @@ class Refined:
     @property
     def typical(self) -> float:
         """What edges are off, in the median (pixels)."""
-        clear = self.seen.clear
+        clear = self.looked.clear
         return float(np.median(abs(self.left[clear]))) if clear.any() else np.inf
 
     def support(self, near: float) -> float:
         """Share of all contour points with an edge within so many pixels."""
         if not len(self.left):
             return 0.0
-        return float((self.seen.clear & (abs(self.left) < near)).mean())
+        return float((self.looked.clear & (abs(self.left) < near)).mean())
 
 
-def solve(solution: Solution, J: np.ndarray, seen: Seen, sure: float, prior: Prior) -> Refined:
+def solve_pose(
+    solution: Solution, J: np.ndarray, looked: Seen, sure: float, prior: Prior
+) -> Refined:
     """Moves a solution so that contours lie on edges, by robust least squares.
 
     Pictures are the witnesses of its covariance: points of one picture may share their error. What
@@ -241,31 +243,33 @@ def solve(solution: Solution, J: np.ndarray, seen: Seen, sure: float, prior: Pri
     Args:
         solution: Where it begins.
         J: Slopes of the points, see `Refiner.slopes`.
-        seen: The edges.
+        looked: The edges.
         sure: Pixels from which on an edge counts less (Cauchy).
         prior: What is known of joints and clock.
     """
     count = len(solution.joints)
     held = np.r_[np.full(6, 1e-6), np.full(count, 1 / prior.joint_sigma**2), 1 / prior.lag_sigma**2]
     now = np.r_[np.zeros(6), solution.joints - prior.joints, solution.lag - prior.lag]
-    x, weights, variance = np.zeros(len(now)), seen.clear.astype(float), 1.0
+    x, weights, variance = np.zeros(len(now)), looked.clear.astype(float), 1.0
     normal = np.diag(held)
     for _ in range(8):
-        left = seen.offsets - J @ x
-        spread = 1.48 * np.median(abs(left[seen.clear])) if seen.clear.any() else 1.0
+        left = looked.offsets - J @ x
+        spread = 1.48 * np.median(abs(left[looked.clear])) if looked.clear.any() else 1.0
         soft = max(min(2 * spread, sure), 0.5)
-        weights = seen.clear / (1 + (left / soft) ** 2)
+        weights = looked.clear / (1 + (left / soft) ** 2)
         variance = max(spread, 0.2) ** 2 * CROWD
         normal = (J * weights[:, None]).T @ J / variance + np.diag(held)
-        pull = (J * weights[:, None]).T @ seen.offsets / variance - held * now
+        pull = (J * weights[:, None]).T @ looked.offsets / variance - held * now
         x = np.linalg.solve(normal, pull)
-    left = seen.offsets - J @ x
-    pulls = J * (weights * np.where(seen.clear, left, 0))[:, None] / variance
-    pictures = np.zeros((int(seen.rows.max(initial=0)) + 1, len(x)))
-    np.add.at(pictures, seen.rows, pulls)
+    left = looked.offsets - J @ x
+    pulls = J * (weights * np.where(looked.clear, left, 0))[:, None] / variance
+    pictures = np.zeros((int(looked.rows.max(initial=0)) + 1, len(x)))
+    np.add.at(pictures, looked.rows, pulls)
     inverse = np.linalg.inv(normal)
     covariance = inverse @ (pictures.T @ pictures + np.diag(held)) @ inverse
     now = Solution(
         moved(solution.base_from_camera, x[:6]), solution.joints + x[6:-1], solution.lag + x[-1]
     )
-    return Refined(now, covariance[:6, :6], seen, left, weights, float(np.sqrt(covariance[-1, -1])))
+    return Refined(
+        now, covariance[:6, :6], looked, left, weights, float(np.sqrt(covariance[-1, -1]))
+    )

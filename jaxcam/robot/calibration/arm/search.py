@@ -47,10 +47,10 @@ AT_ONCE = 64
 
 
 @dataclass(frozen=True)
-class Changes:
+class MotionCells:
     """What changes between pictures, in coarse cells, and where the arm's surface then is."""
 
-    seen: np.ndarray = field(repr=False)
+    share: np.ndarray = field(repr=False)
     """Share of each cell that changes, [pairs, cells]."""
     points: np.ndarray = field(repr=False)
     """Of the arm in the base frame, float32 [2 pairs, n, 3]: all first pictures, then seconds."""
@@ -82,11 +82,11 @@ class Changes:
         masks[cells] = True
         masks = masks.reshape(count, 2, times // 2, w * h)
         changed = masks[:, 0] ^ masks[:, 1]
-        both = np.einsum("hpc,pc->h", changed.astype(np.float32), self.seen, optimize=True)
-        return both / (changed.sum((1, 2)) + self.seen.sum() - both + 1e-6)
+        both = np.einsum("hpc,pc->h", changed.astype(np.float32), self.share, optimize=True)
+        return both / (changed.sum((1, 2)) + self.share.sum() - both + 1e-6)
 
 
-def changes_of(arm: ArmModel, film: Film, fine: float = 1.0) -> Changes:
+def changes_of(arm: ArmModel, film: Film, fine: float = 1.0) -> MotionCells:
     """What changes between the pictures of each episode that are farthest apart.
 
     Args:
@@ -101,16 +101,16 @@ def changes_of(arm: ArmModel, film: Film, fine: float = 1.0) -> Changes:
     width, height = film.size
     cell = max(width, height) / (CELLS * fine)
     grid = int(np.ceil(width / cell)), int(np.ceil(height / cell))
-    seen = []
+    share = []
     for a, b in pairs:
         part = changed(film, a, b)
         whole = np.zeros((round(grid[1] * cell), round(grid[0] * cell)), np.float32)
         whole[:height, :width] = part[: whole.shape[0], : whole.shape[1]]
-        seen.append(cv2.resize(whole, grid, interpolation=cv2.INTER_AREA).ravel())
+        share.append(cv2.resize(whole, grid, interpolation=cv2.INTER_AREA).ravel())
     points, owners = Surface.of(arm.parts).samples(SPACING / fine)
     poses = arm.poses(film.angles[np.r_[first, second]], _some(film.opening, first, second))
     where = np.stack([placed(row[owners], points[:, None])[:, 0] for row in poses])
-    return Changes(np.stack(seen), where.astype(np.float32), grid, cell, film.K)
+    return MotionCells(np.stack(share), where.astype(np.float32), grid, cell, film.K)
 
 
 def changed(film: Film, a: int, b: int) -> np.ndarray:
@@ -140,7 +140,9 @@ def _far_apart(angles: np.ndarray, rows: np.ndarray) -> Iterator[tuple[int, int]
         far[a, b] = far[b, a] = 0
 
 
-def search(changes: Changes, finer: Changes, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+def search(
+    changes: MotionCells, finer: MotionCells, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
     """The poses that explain most, one from each of a few sides, the best first.
 
     Args:
@@ -173,7 +175,7 @@ def search(changes: Changes, finer: Changes, seed: int = 0) -> tuple[np.ndarray,
 
 
 def _improved(
-    changes: Changes,
+    changes: MotionCells,
     pose: np.ndarray,
     middle: np.ndarray,
     rng: np.random.Generator,
@@ -194,17 +196,17 @@ def _improved(
     return best, fit
 
 
-def _moving_middle(changes: Changes) -> np.ndarray:
+def _moving_middle(changes: MotionCells) -> np.ndarray:
     """Where the arm moves: the middle of that half of its points that moves most."""
     moves = np.ptp(changes.points, axis=0).sum(-1)
     return changes.points[:, moves > np.median(moves)].reshape(-1, 3).mean(0).astype(float)
 
 
-def _around(changes: Changes, middle: np.ndarray) -> np.ndarray:
+def _around(changes: MotionCells, middle: np.ndarray) -> np.ndarray:
     """Poses all around the arm, from which what moves is where something changes."""
     w, h = changes.grid
     y, x = np.divmod(np.arange(w * h), w)
-    weights = changes.seen.sum(0)
+    weights = changes.share.sum(0)
     centre = np.array([(weights * (x + 0.5)).sum(), (weights * (y + 0.5)).sum()])
     centre = centre / max(weights.sum(), 1e-9) * changes.cell
     K = changes.K

@@ -150,7 +150,7 @@ def take_film(
 
 
 def _decoded(sight: Sight, wanted: np.ndarray, name: str) -> list[tuple[int, np.ndarray]]:
-    steps, found = set(wanted.tolist()), []
+    steps, pairs = set(wanted.tolist()), []
     for step, picture in enumerate(sight.decode()):
         if step in steps:
             if picture.shape[:2] != (sight.height, sight.width):
@@ -158,8 +158,8 @@ def _decoded(sight: Sight, wanted: np.ndarray, name: str) -> list[tuple[int, np.
                     f"Episode '{name}', step {step}: a picture of {picture.shape[1]}x"
                     f"{picture.shape[0]}, expected {sight.width}x{sight.height}."
                 )
-            found.append((step, picture.copy()))
-    return found
+            pairs.append((step, picture.copy()))
+    return pairs
 
 
 def _fitting(mask: np.ndarray, optics: Optics) -> np.ndarray:

@@ -17,22 +17,22 @@ def contour_overlays(refined: Refined, film: Film) -> dict[str, np.ndarray]:
         refined: The fit.
         film: Its pictures.
     """
-    starts = np.searchsorted(refined.seen.rows, np.arange(len(film.rgb)))
+    starts = np.searchsorted(refined.looked.rows, np.arange(len(film.rgb)))
     shown = {}
     for i in spread_out(len(film.rgb)):
-        found = refined.seen.contours[i]
-        part = slice(starts[i], starts[i] + len(found.pixels))
+        outline = refined.looked.contours[i]
+        part = slice(starts[i], starts[i] + len(outline.pixels))
         # The contours are of the round before: moved by what that round still changed.
-        ahead = refined.seen.offsets[part] - refined.left[part]
-        pixels = found.pixels + ahead[:, None] * found.normals
+        ahead = refined.looked.offsets[part] - refined.left[part]
+        pixels = outline.pixels + ahead[:, None] * outline.normals
         left = refined.left[part]
         key = (
             f"Episode {film.episodes[i]}, step {film.steps[i]}: the arm's contour as the pose has "
             "it (orange), and edges (blue; left out: violet)."
         )
-        edges = pixels + left[:, None] * found.normals
-        counts = refined.seen.clear[part] & (refined.weights[part] > 0.2)
-        clear = refined.seen.clear[part]
+        edges = pixels + left[:, None] * outline.normals
+        counts = refined.looked.clear[part] & (refined.weights[part] > 0.2)
+        clear = refined.looked.clear[part]
         shown[key] = _dotted(film.rgb[i], pixels, edges[clear], counts[clear])
     return shown
 
@@ -55,13 +55,13 @@ def _dotted(
 def edge_figure(refined: Refined) -> Figure:
     """How far edges are from contours, in all, and picture by picture."""
     figure, (around, over) = side_by_side((8.2, 3.2), columns=2)
-    clear = refined.seen.clear
+    clear = refined.looked.clear
     left = refined.left[clear]
     limit = max(1.0, 4 * float(np.median(abs(left))) if len(left) else 1.0)
     around.hist(np.clip(left, -limit, limit), 61, color=BLUE)
     around.axvline(0, color=GREY, linewidth=0.8)
     around.set(xlabel="outwards (pixels)", ylabel="points", title="Edges less contours")
-    rows = refined.seen.rows[clear]
+    rows = refined.looked.rows[clear]
     numbers = np.unique(rows)
     middle = np.array([np.median(left[rows == i]) for i in numbers])
     spread = np.array([np.median(abs(left[rows == i])) for i in numbers])

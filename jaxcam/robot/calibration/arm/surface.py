@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from jaxcam.robot.calibration.arm.model import Part
+from jaxcam.robot.calibration.arm.model import LinkSurface
 from jaxcam.robot.calibration.projection import placed
 
 BEYOND = 2.0
@@ -26,14 +26,14 @@ CLOSED = 3
 class Surface:
     """The surfaces of all parts."""
 
-    parts: Sequence[Part] = field(repr=False)
+    parts: Sequence[LinkSurface] = field(repr=False)
     normals: Sequence[np.ndarray] = field(repr=False)
     """Of each part's faces, [m, 3]."""
     edges: Sequence[np.ndarray] = field(repr=False)
     """Of each part: two vertices, and the faces on both sides (twice the same at a rim), [e, 4]."""
 
     @classmethod
-    def of(cls, parts: Sequence[Part]) -> "Surface":
+    def of(cls, parts: Sequence[LinkSurface]) -> "Surface":
         """The surfaces of parts."""
         normals, edges = [], []
         for part in parts:
@@ -157,8 +157,8 @@ def contour(
         owners.append(np.full(int(edge.sum()), number))
         pixels.append(middle[edge])
         normals.append(np.where(out[edge], -1, 1)[:, None] * normal[edge])
-    found = Contour(*map(np.concatenate, (points, owners, pixels, normals)))
-    return _thinned(found, (mask.shape[1], mask.shape[0]), spacing)
+    outline = Contour(*map(np.concatenate, (points, owners, pixels, normals)))
+    return _thinned(outline, (mask.shape[1], mask.shape[0]), spacing)
 
 
 def _pieces(ends: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -178,13 +178,17 @@ def _at(mask: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     return inside & mask[np.clip(y, 0, h - 1), np.clip(x, 0, w - 1)]
 
 
-def _thinned(found: Contour, size: tuple[int, int], spacing: float) -> Contour:
+def _thinned(outline: Contour, size: tuple[int, int], spacing: float) -> Contour:
     """One point in each cell of the picture and direction."""
-    inside = ((found.pixels > 1) & (found.pixels < np.array(size) - 1)).all(-1)
-    cell = np.floor(found.pixels / spacing).astype(int)
-    turn = np.floor(np.arctan2(found.normals[:, 1], found.normals[:, 0]) / (np.pi / 4)).astype(int)
+    inside = ((outline.pixels > 1) & (outline.pixels < np.array(size) - 1)).all(-1)
+    cell = np.floor(outline.pixels / spacing).astype(int)
+    turn = np.floor(np.arctan2(outline.normals[:, 1], outline.normals[:, 0]) / (np.pi / 4)).astype(
+        int
+    )
     keys = np.c_[cell, turn]
     order = np.flatnonzero(inside)
     _, first = np.unique(keys[order], axis=0, return_index=True)
     keep = order[first]
-    return Contour(found.points[keep], found.owners[keep], found.pixels[keep], found.normals[keep])
+    return Contour(
+        outline.points[keep], outline.owners[keep], outline.pixels[keep], outline.normals[keep]
+    )

@@ -38,7 +38,7 @@ TYPICAL = 5.35
 
 
 @dataclass(frozen=True)
-class Asked:
+class AskedChange:
     """What one episode's pictures ask for."""
 
     episode: int
@@ -63,7 +63,7 @@ class Asked:
 class Tested:
     """An episode, held against what most agree on."""
 
-    asked: Asked
+    asked: AskedChange
     change: np.ndarray
     """Less what all ask for, [6]."""
     distance: float
@@ -82,7 +82,7 @@ class Tested:
         return moved(self.asked.given, self.change)
 
 
-def ask(arm: ArmModel, film: Film, given: np.ndarray) -> Asked:
+def ask(arm: ArmModel, film: Film, given: np.ndarray) -> AskedChange:
     """What the pictures of one episode ask for, with the joints free.
 
     Args:
@@ -95,7 +95,7 @@ def ask(arm: ArmModel, film: Film, given: np.ndarray) -> Asked:
     return _asked(refiner, refined, given, film)
 
 
-def ask_again(arm: ArmModel, film: Film, asked: Asked, joints: np.ndarray) -> Asked:
+def ask_again(arm: ArmModel, film: Film, asked: AskedChange, joints: np.ndarray) -> AskedChange:
     """The same with the joints as most episodes have them.
 
     Args:
@@ -110,16 +110,18 @@ def ask_again(arm: ArmModel, film: Film, asked: Asked, joints: np.ndarray) -> As
     return _asked(refiner, refined, asked.given, film)
 
 
-def _asked(refiner: Refiner, refined: Refined, given: np.ndarray, film: Film) -> Asked:
+def _asked(refiner: Refiner, refined: Refined, given: np.ndarray, film: Film) -> AskedChange:
     pose = np.linalg.inv(given) @ refined.solution.base_from_camera
     change = np.r_[pose[:3, 3], Rotation.from_matrix(pose[:3, :3]).as_rotvec()]
-    return Asked(
+    return AskedChange(
         int(film.episodes[0]), given, change, refined.covariance,
         refined.support(NEAR * refiner.scale), refined.solution.joints,
     )  # fmt: skip
 
 
-def changes_asked(arm: ArmModel, films: Sequence[Film], given: Sequence[np.ndarray]) -> list[Asked]:
+def changes_asked(
+    arm: ArmModel, films: Sequence[Film], given: Sequence[np.ndarray]
+) -> list[AskedChange]:
     """What each episode's pictures ask for.
 
     Args:
@@ -128,10 +130,12 @@ def changes_asked(arm: ArmModel, films: Sequence[Film], given: Sequence[np.ndarr
         given: Their poses, [4, 4].
     """
     first = [ask(arm, film, pose) for film, pose in zip(films, given, strict=True)]
-    return settled(arm, films, first)
+    return with_common_joints(arm, films, first)
 
 
-def settled(arm: ArmModel, films: Sequence[Film], first: Sequence[Asked]) -> list[Asked]:
+def with_common_joints(
+    arm: ArmModel, films: Sequence[Film], first: Sequence[AskedChange]
+) -> list[AskedChange]:
     """What episodes ask for, once they have the joints in common."""
     clear = [a.joints for a in first if a.clear] or [np.zeros(arm.joints)]
     joints = np.median(clear, 0)
@@ -141,7 +145,7 @@ def settled(arm: ArmModel, films: Sequence[Film], first: Sequence[Asked]) -> lis
     ]
 
 
-def judged_changes(asked: Sequence[Asked]) -> list[Tested]:
+def judged_changes(asked: Sequence[AskedChange]) -> list[Tested]:
     """Which episodes had the camera elsewhere.
 
     Args:

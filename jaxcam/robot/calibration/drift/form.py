@@ -24,12 +24,12 @@ from jaxcam.robot.calibration.arm.model import ArmModel
 from jaxcam.robot.calibration.arm.shooting import take_film
 from jaxcam.robot.calibration.drift.change import (
     SUPPORT,
-    Asked,
+    AskedChange,
     Tested,
     ask,
     judged_changes,
     runs_of,
-    settled,
+    with_common_joints,
 )
 from jaxcam.robot.calibration.figures import space_figure
 from jaxcam.robot.calibration.page import CalibrationPage, page_path, spread_out, write_calibration
@@ -42,7 +42,7 @@ class ViewDrift:
     view: str
     episodes: list[Tested] = field(repr=False)
     """Those whose pictures say something."""
-    silent: list[Asked] = field(repr=False)
+    silent: list[AskedChange] = field(repr=False)
     """Those whose pictures do not show the arm where the pose, or one near it, has it."""
     optics: Optics
 
@@ -68,23 +68,23 @@ def calibrate_drift(config: DriftConfig, console: Console) -> None:
     columns = joint_numbers(recording, config.joints, config.opening)
     arm = arm_for(config.robot, columns)
     views = [config.view] if config.view else list(recording.views)
-    seen = {view: standing(recording, view) for view in views}
-    if not any(seen.values()):
+    by_view = {view: episodes_standing(recording, view) for view in views}
+    if not any(by_view.values()):
         raise ConfigError(
             f"No pose that stands still is known of view {', '.join(views)}: python -m "
             "jaxcam.calibrate tags, hand-eye or arm finds it."
         )
     drifts = []
-    total = sum(min(len(e), config.episodes) for e in seen.values())
+    total = sum(min(len(e), config.episodes) for e in by_view.values())
     with progress(console, "looking", total) as advance:
-        for view, episodes in seen.items():
+        for view, episodes in by_view.items():
             some = [episodes[i] for i in spread_out(len(episodes), config.episodes)]
             if some:
                 drifts.append(drift_of(recording, view, some, arm, columns, config.most, advance))
     words = [line for drift in drifts for line in drift_words(recording, drift)]
     moved = any(drift.runs for drift in drifts)
     if config.write and moved:
-        update_cameras(cameras, overrides(drifts))
+        update_cameras(cameras, pose_overrides(drifts))
         words.append(f"{cameras}: new poses of those episodes.")
     elif moved:
         words.append("Run it with --write to put the new poses into the file, or calibrate anew.")
@@ -94,7 +94,7 @@ def calibrate_drift(config: DriftConfig, console: Console) -> None:
     console.print(f"Page: {path}", soft_wrap=True)
 
 
-def standing(recording: Recording, view: str) -> list[int]:
+def episodes_standing(recording: Recording, view: str) -> list[int]:
     """Episodes in which a view has a pose at which it stands still.
 
     Args:
@@ -131,7 +131,7 @@ def drift_of(
         advance: Called after each.
     """
     films: list[Film] = []
-    first: list[Asked] = []
+    first: list[AskedChange] = []
     optics = None
     for number in episodes:
         sight = recording.episodes[number].sights[view]
@@ -145,12 +145,12 @@ def drift_of(
         first.append(ask(arm, film, given))
         advance()
     assert optics is not None
-    asked = settled(arm, films, first)
+    asked = with_common_joints(arm, films, first)
     silent = [a for a in asked if not a.clear]
     return ViewDrift(view, judged_changes(asked), silent, optics)
 
 
-def overrides(drifts: list[ViewDrift]) -> Changes:
+def pose_overrides(drifts: list[ViewDrift]) -> Changes:
     """Poses of episodes in which a camera had moved, for the file of calibrations.
 
     Args:
@@ -192,7 +192,7 @@ def drift_words(recording: Recording, drift: ViewDrift) -> list[str]:
             f"View {drift.view}: nothing can be said of episodes {numbers}"
             f"{' and more' if len(drift.silent) > 8 else ''}: less than {SUPPORT:.0%} of the arm's "
             "contour lies on edges. The camera may have moved far (calibrate anew), or the arm is "
-            "hardly seen."
+            "hardly by_view."
         )
     if not drift.runs:
         lines.append(f"View {drift.view}: stood still in {len(drift.episodes)} episodes.")

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from jaxcam.robot.calibration.arm.edges import background, find_edges
+from jaxcam.robot.calibration.arm.edges import behind_arm, find_edges
 
 
 def step_picture(at: float, blur: float = 1.0) -> np.ndarray:
@@ -22,10 +22,10 @@ def test_an_edge_is_found_to_a_fifth_of_a_pixel(at, blur):
     picture = step_picture(at, blur) + rng.normal(0, 2, (40, 80, 3)).astype(np.float32)
     pixels = np.stack([np.full(20, 40.0), np.linspace(10, 30, 20)], -1)
     normals = np.tile([1.0, 0], (20, 1))
-    found = find_edges(picture, pixels, normals, 6.0)
-    assert found.clear.all()
-    assert abs(np.median(found.offsets) - (at - 40)) < 0.2
-    assert found.contrast.min() > 60
+    got = find_edges(picture, pixels, normals, 6.0)
+    assert got.clear.all()
+    assert abs(np.median(got.offsets) - (at - 40)) < 0.2
+    assert got.contrast.min() > 60
 
 
 def test_what_is_bright_outside_is_no_edge_of_the_arm():
@@ -47,8 +47,8 @@ def test_the_background_is_the_median_of_what_is_not_covered():
     covered = np.zeros((4, 4, 5), bool)
     covered[2, :2] = True
     covered[:, 2] = True
-    behind = background(rgb, covered)
+    behind = behind_arm(rgb, covered)
     np.testing.assert_array_equal(behind[:2], 20)
     assert np.isnan(behind[2:]).all()
     covered[0, 0] = True
-    np.testing.assert_array_equal(background(rgb, covered)[0], 25)
+    np.testing.assert_array_equal(behind_arm(rgb, covered)[0], 25)

@@ -29,13 +29,13 @@ def episode(*row):
     ],
 )
 def test_by_their_names(names, angles, opening, closes):
-    found = joint_numbers(recording(*names), "", "")
-    assert (found.angles, found.opening, found.closes) == (angles, opening, closes)
+    got = joint_numbers(recording(*names), "", "")
+    assert (got.angles, got.opening, got.closes) == (angles, opening, closes)
 
 
 def test_by_settings():
-    found = joint_numbers(recording(*"abcdef"), "observation.state[1:4]", "state[5]")
-    assert (found.angles, found.opening) == ((1, 2, 3), 5)
+    got = joint_numbers(recording(*"abcdef"), "observation.state[1:4]", "state[5]")
+    assert (got.angles, got.opening) == ((1, 2, 3), 5)
 
 
 @pytest.mark.parametrize("text", ["state[0:9]", "state[3:3]", "joints", "state[7]"])

@@ -19,42 +19,42 @@ def refined(off=(0.0, 0.0, 0.0), lag=0.0):
 
 
 def test_the_pose_is_found():
-    _, found = refined()
-    place, turn = apart(CAMERA, found.solution.base_from_camera)
+    _, got = refined()
+    place, turn = apart(CAMERA, got.solution.base_from_camera)
     assert place < 0.008
     assert turn < np.deg2rad(0.5)
-    assert found.typical < 0.5
-    assert found.support(2.0) > 0.5
+    assert got.typical < 0.5
+    assert got.support(2.0) > 0.5
 
 
 def test_the_deviation_that_is_said_is_of_the_size_of_the_error():
-    _, found = refined()
-    place, _ = apart(CAMERA, found.solution.base_from_camera)
-    assert 0.2 * place < found.spread[0] < 0.05
+    _, got = refined()
+    place, _ = apart(CAMERA, got.solution.base_from_camera)
+    assert 0.2 * place < got.spread[0] < 0.05
 
 
 def test_pictures_that_are_late_are_found():
-    _, found = refined(lag=0.06)
-    assert found.solution.lag == pytest.approx(0.06, abs=0.015)
-    assert apart(CAMERA, found.solution.base_from_camera)[0] < 0.01
+    _, got = refined(lag=0.06)
+    assert got.solution.lag == pytest.approx(0.06, abs=0.015)
+    assert apart(CAMERA, got.solution.base_from_camera)[0] < 0.01
 
 
 def test_joints_that_are_off_are_found_where_they_can_be():
     """A fault of the first joint looks like a camera that was turned about its axis."""
-    _, found = refined(off=(0.0, np.deg2rad(-0.8), 0.0))
-    assert found.solution.joints[1] > np.deg2rad(0.2)
-    assert apart(CAMERA, found.solution.base_from_camera)[0] < 0.012
+    _, got = refined(off=(0.0, np.deg2rad(-0.8), 0.0))
+    assert got.solution.joints[1] > np.deg2rad(0.2)
+    assert apart(CAMERA, got.solution.base_from_camera)[0] < 0.012
 
 
 def test_slopes_are_the_motion_of_the_contour():
     """Against points that are projected again from a camera that was moved."""
-    refiner, found = refined()
-    solution = found.solution
-    seen = refiner.look(solution, 4.0)
-    slopes = refiner.slopes(solution, seen)
+    refiner, got = refined()
+    solution = got.solution
+    looked = refiner.look(solution, 4.0)
+    slopes = refiner.slopes(solution, looked)
     step = np.r_[1e-4, -2e-4, 1e-4, 2e-4, 1e-4, -1e-4]
     poses = refiner.arm.poses(refiner.angles(solution))
-    first = seen.contours[0]
+    first = looked.contours[0]
     ways = []
     for camera in (solution.base_from_camera, moved(solution.base_from_camera, step)):
         there = np.linalg.inv(camera) @ poses[0][first.owners] @ np.c_[
@@ -67,5 +67,5 @@ def test_slopes_are_the_motion_of_the_contour():
 def test_joints_that_are_held_do_not_move():
     refiner, _ = refined()
     joints = np.deg2rad([0.5, 0.0, 0.0])
-    found = refiner.refine(Solution(CAMERA, joints, 0.0), (4.0,), Prior(joints, joint_sigma=1e-6))
-    np.testing.assert_allclose(found.solution.joints, joints, atol=1e-6)
+    got = refiner.refine(Solution(CAMERA, joints, 0.0), (4.0,), Prior(joints, joint_sigma=1e-6))
+    np.testing.assert_allclose(got.solution.joints, joints, atol=1e-6)

@@ -62,8 +62,8 @@ def test_the_lens_is_undone():
     ys, xs = np.mgrid[:80, :120] + 0.5
     spot = (255 * np.exp(-((xs - at[0]) ** 2 + (ys - at[1]) ** 2) / 8)).astype(np.uint8)
     straight = Straightener(Optics(K, 120, 80, lens))
-    seen = straight(np.repeat(spot[..., None], 3, 2))[..., 0].astype(float)
-    middle = (seen * xs).sum() / seen.sum(), (seen * ys).sum() / seen.sum()
+    shown_film = straight(np.repeat(spot[..., None], 3, 2))[..., 0].astype(float)
+    middle = (shown_film * xs).sum() / shown_film.sum(), (shown_film * ys).sum() / shown_film.sum()
     np.testing.assert_allclose(middle, [x * 100 + 60, y * 100 + 40], atol=0.15)
 
 

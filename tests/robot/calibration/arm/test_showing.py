@@ -10,9 +10,9 @@ from jaxcam.robot.calibration.page import FITTED
 
 
 def test_contours_are_drawn_on_pictures_and_residuals_beside_them():
-    seen = film([CAMERA] * 2, count=4)
-    refined = Refiner(boxed_arm(), seen).refine(Solution(CAMERA, np.zeros(3), 0.0), (4.0,))
-    shown = contour_overlays(refined, seen)
+    shown_film = film([CAMERA] * 2, count=4)
+    refined = Refiner(boxed_arm(), shown_film).refine(Solution(CAMERA, np.zeros(3), 0.0), (4.0,))
+    shown = contour_overlays(refined, shown_film)
     assert len(shown) == 6
     first = next(iter(shown))
     assert first.startswith("Episode 0, step 0")

@@ -31,10 +31,10 @@ def test_samples_fill_the_silhouette():
 
 def test_a_contour_lies_on_the_outline_and_looks_outwards():
     true = drawn()
-    found = contour(Surface.of(boxed_arm().parts), poses(), K, true, spacing=1.0)
-    assert len(found.pixels) > 100
+    got = contour(Surface.of(boxed_arm().parts), poses(), K, true, spacing=1.0)
+    assert len(got.pixels) > 100
     outlines = hulls(ANGLES, CAMERA)
-    for pixel, normal in zip(found.pixels, found.normals, strict=True):
+    for pixel, normal in zip(got.pixels, got.normals, strict=True):
         distances = [abs(cv2.pointPolygonTest(o, tuple(map(float, pixel)), True)) for o in outlines]
         assert min(distances) < 0.02
         out, inside = pixel + 2.5 * normal, pixel - 1.5 * normal
@@ -43,10 +43,10 @@ def test_a_contour_lies_on_the_outline_and_looks_outwards():
 
 
 def test_contour_points_are_points_of_links():
-    found = contour(Surface.of(boxed_arm().parts), poses(), K, drawn())
-    there = placed(poses()[found.owners], found.points[:, None])[:, 0]
+    got = contour(Surface.of(boxed_arm().parts), poses(), K, drawn())
+    there = placed(poses()[got.owners], got.points[:, None])[:, 0]
     pixels = there[:, :2] / there[:, 2:] @ K[:2, :2].T + K[:2, 2]
-    np.testing.assert_allclose(pixels, found.pixels, atol=0.3)
+    np.testing.assert_allclose(pixels, got.pixels, atol=0.3)
 
 
 def test_each_edge_has_the_faces_on_its_sides():

@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 from boxed_arm import CAMERA, boxed_arm, film
 
-from jaxcam.robot.calibration.drift.change import Asked, changes_asked, judged_changes, runs_of
+from jaxcam.robot.calibration.drift.change import (
+    AskedChange,
+    changes_asked,
+    judged_changes,
+    runs_of,
+)
 from jaxcam.robot.calibration.projection import apart, moved
 
 BUMP = np.r_[0.0, 0.0, 0.0, np.deg2rad([0.8, -0.8, 0.0])]
@@ -27,7 +32,7 @@ def test_a_camera_that_was_turned_is_found_with_its_episode_and_pose():
 def drawn(change, episode, rng, support=0.8):
     noise = rng.normal(0, [0.002] * 3 + [0.001] * 3)
     covariance = np.diag([0.002**2] * 3 + [0.001**2] * 3)
-    return Asked(episode, CAMERA, change + noise, covariance, support, np.zeros(3))
+    return AskedChange(episode, CAMERA, change + noise, covariance, support, np.zeros(3))
 
 
 def test_what_all_episodes_ask_for_is_no_motion():
