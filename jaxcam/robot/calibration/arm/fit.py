@@ -121,9 +121,8 @@ def _check_changes(film: Film, changes: MotionCells) -> None:
     if change < LEAST_CHANGE:
         raise DatasetError(
             f"The arm is not in view, or hardly: while its joints move, {change:.1f} of "
-            f"{changes.share.shape[1]} parts of the picture change, expected "
-            f"{LEAST_CHANGE:.0f} and "
-            f"more, in {len(np.unique(film.episodes))} episodes. Look at the pictures of this "
+            f"{changes.share.shape[1]} parts of the picture change, expected {LEAST_CHANGE:.0f} "
+            f"and more, in {len(np.unique(film.episodes))} episodes. Look at the pictures of this "
             "view: a camera that sees little of the arm, or pictures that stand still."
         )
 

@@ -30,13 +30,16 @@ PAIRS, IN_ALL = 2, 12
 """Pairs of pictures of an episode, and in all."""
 SPACING = 0.035
 """Distance (m) between samples of the arm."""
-AZIMUTHS, ELEVATIONS, DISTANCES = 30, (5, 20, 35, 50, 65, 80), (0.5, 0.7, 1.0, 1.4, 2.0, 2.8)
+AZIMUTHS, ELEVATIONS, DISTANCES = 24, (5, 22, 40, 58, 76), (0.5, 0.75, 1.1, 1.6, 2.4)
 """Sides, degrees above the horizon, and metres from the arm, that are tried."""
+BEYOND = 0.7
+"""How far beyond the middle of the changes what moves is also looked for, in shares of its way from
+the picture's middle."""
 SIDES, APART = 4, np.deg2rad(35)
 """Sides of the arm from which poses are improved, and the angle between them (rad)."""
 ROUNDS, DRAWN, ELITE = 11, 64, 10
 """How often a pose is improved, by how many draws, and of those, the best."""
-WIDE = (0.25, 0.25, 0.25, 0.08, 0.08, 0.2)
+WIDE = (0.25, 0.25, 0.25, 0.12, 0.12, 0.2)
 """Spread of the first draws: of turns about the arm, pan and tilt (rad), and of the distance."""
 FINE, FINER = 2.0, 0.5
 """Cells of the second search are so many times as fine, and its first draws spread so much less."""
@@ -203,24 +206,30 @@ def _moving_middle(changes: MotionCells) -> np.ndarray:
 
 
 def _around(changes: MotionCells, middle: np.ndarray) -> np.ndarray:
-    """Poses all around the arm, from which what moves is where something changes."""
+    """Poses all around the arm, from which what moves is where something changes.
+
+    An arm that is seen in part moves beside the picture, too: so it is also tried half-way to the
+    picture's edge beyond the middle of the changes.
+    """
     w, h = changes.grid
     y, x = np.divmod(np.arange(w * h), w)
-    weights = changes.share.sum(0)
+    weights = changes.share.sum(0) / max(float(changes.share.sum()), 1e-9)
     centre = np.array([(weights * (x + 0.5)).sum(), (weights * (y + 0.5)).sum()])
-    centre = centre / max(weights.sum(), 1e-9) * changes.cell
-    K = changes.K
-    ray = np.array([(centre[0] - K[0, 2]) / K[0, 0], (centre[1] - K[1, 2]) / K[1, 1], 1.0])
-    ahead = Rotation.align_vectors(ray / np.linalg.norm(ray), [0, 0, 1.0])[0].as_matrix()
+    half = np.array([w, h]) / 2
+    sights = [centre, half, centre + BEYOND * (centre - half)]
     poses = []
-    for azimuth in np.linspace(-np.pi, np.pi, AZIMUTHS, endpoint=False):
-        for elevation in np.deg2rad(ELEVATIONS):
-            flat = np.cos(elevation)
-            way = np.array([np.cos(azimuth) * flat, np.sin(azimuth) * flat, np.sin(elevation)])
-            for distance in DISTANCES:
-                pose = np.asarray(look_at(middle + distance * way, middle), float)
-                pose[:3, :3] = pose[:3, :3] @ ahead.T
-                poses.append(pose)
+    for sight in sights:
+        lines = (sight * changes.cell - changes.K[:2, 2]) / np.diag(changes.K)[:2]
+        ray = np.array([*lines, 1.0]) / np.linalg.norm([*lines, 1.0])
+        ahead = Rotation.align_vectors(ray, [0, 0, 1.0])[0].as_matrix()
+        for azimuth in np.linspace(-np.pi, np.pi, AZIMUTHS, endpoint=False):
+            for elevation in np.deg2rad(ELEVATIONS):
+                flat = np.cos(elevation)
+                way = np.array([np.cos(azimuth) * flat, np.sin(azimuth) * flat, np.sin(elevation)])
+                for distance in DISTANCES:
+                    pose = np.asarray(look_at(middle + distance * way, middle), float)
+                    pose[:3, :3] = pose[:3, :3] @ ahead.T
+                    poses.append(pose)
     return np.stack(poses)
 
 
