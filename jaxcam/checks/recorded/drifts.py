@@ -13,7 +13,7 @@ from jaxcam.checks.recorded.judged import Judged, called, names
 from jaxcam.data.recorded.recording import Recording
 from jaxcam.robot.calibration.arm.form import arm_for
 from jaxcam.robot.calibration.arm.joints import joint_numbers
-from jaxcam.robot.calibration.drift.form import ViewDrift, drift_of
+from jaxcam.robot.calibration.drift.form import ViewDrift, drift_of, episodes_standing
 
 WHAT = "standing still"
 PICTURES = 6
