@@ -66,9 +66,9 @@ def scene(scenes):
 @pytest.fixture(scope="session")
 def renderer(lift, scene):
     """A renderer of the randomised scene whose batches are small, so that they get padded."""
-    from jaxcam.sim.mujoco.render import Renderer
+    from jaxcam.sim import make_painter
 
-    return Renderer(scene, PIXELS, varied=lift.varied, batch=4)
+    return make_painter(scene, PIXELS, varied=lift.varied, batch=4)
 
 
 @pytest.fixture(scope="session")
