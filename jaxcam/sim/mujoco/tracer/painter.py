@@ -42,8 +42,8 @@ class CpuRenderer:
         shadows: Cast shadows by the key light.
         samples: Sub-pixel samples per axis; 2 smooths edges at four times the cost.
 
-    Pictures differ from `render.Renderer`'s where float32 rounds otherwise: of three thousand
-    pixels one, by a level of 255, and of a hundred thousand at most one, at edges, by more (test).
+    Pictures differ from `render.Renderer`'s where float32 rounds otherwise: by one level of 255 in
+    half a percent of the pixels, by more, at edges, in one of a hundred thousand (test).
     """
 
     def __init__(
