@@ -194,7 +194,10 @@ class Evaluator:
         controller = controller_of(config.action_space)
         self.engine = make_engine(self.engine_name, self.scene, controller, varied)
         self.renderer = make_painter(
-            self.scene, *rows_and_columns(config.resolution), varied=varied
+            self.scene,
+            *rows_and_columns(config.resolution),
+            varied=varied,
+            engine=self.engine_name,
         )
 
     def run(

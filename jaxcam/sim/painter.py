@@ -21,6 +21,11 @@ class Painter(Protocol):
         ...
 
     @staticmethod
+    def draws(world: Any) -> bool:
+        """Whether it knows all that is to be seen in a world."""
+        ...
+
+    @staticmethod
     def uses_all_cores() -> bool:
         """Whether one draws as fast as several, each in a process of its own."""
         ...

@@ -12,6 +12,7 @@ from jaxcam.sim.maniskill.pool import Pool, pool_of
 from jaxcam.sim.maniskill.scene import SapienWorld
 from jaxcam.sim.maniskill.studio import SHADER
 from jaxcam.sim.types import View
+from jaxcam.sim.world import World
 
 RGB_BYTES, LAYER_BYTES = 3, 11
 """Bytes of a pixel: of its colour alone, and with depth and segment."""
@@ -60,6 +61,11 @@ class SapienPainter:
     def look() -> str:
         """SAPIEN's version and ManiSkill's shader; drivers differ in last digits."""
         return f"sapien{version('sapien')}-{SHADER}-{device().kind}"
+
+    @staticmethod
+    def draws(world: World) -> bool:
+        """All there is."""
+        return True
 
     @staticmethod
     def uses_all_cores() -> bool:
