@@ -248,6 +248,15 @@ def check_rotation_form(action_space: str, rotations: str) -> None:
         raise ConfigError(f"rotations is for action_space eef_abs, not {action_space}.")
 
 
+def check_action_frame(action_space: str | None, action_frame: str) -> None:
+    """Refuses actions that are not poses in a frame, or of which nobody says so."""
+    if action_frame == "camera" and action_space not in (None, "eef_delta", "eef_abs"):
+        raise ConfigError(
+            "action_frame camera is for grip poses, action_space eef_delta or eef_abs, and not "
+            f"{action_space}: no camera sees its numbers as positions and rotations."
+        )
+
+
 def check_most(config: SettingsRecord, most: float, fields: str) -> None:
     """Refuses settings above a bound."""
     for field in fields.split():

@@ -9,8 +9,11 @@ Subject = Literal[TaskName, "recorded"]
 SceneName = Literal["fixed", "randomized"]
 """Whether table and room stand where they always do, or somewhere else in every episode."""
 PolicyName = Literal["act", "diffusion", "smolvla"]
-PresetName = Literal["auto", "laptop", "paper", "lerobot", "original", "tiny"]
-Conditioning = Literal["none", "token", "early", "late", "keypoints"]
+PresetName = Literal["auto", "laptop", "attention", "paper", "lerobot", "original", "tiny"]
+Conditioning = Literal[
+    "none", "token", "early", "late", "keypoints", "warp", "prope", "gta", "ray_rope"
+]  # fmt: skip
+ActionFrame = Literal["base", "camera"]
 ActionSpace = Literal[
     "eef_delta", "eef_abs", "joint_delta", "joint_abs", "eef_delta_componentwise"
 ]  # fmt: skip

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import tyro
 
 from jaxcam.config.fields import (
+    check_action_frame,
     check_least,
     check_most,
     check_rotation_form,
@@ -21,6 +22,7 @@ from jaxcam.config.fields import (
 from jaxcam.config.flags import PRESET, FromPreset, default
 from jaxcam.config.names import (
     ActionChoice,
+    ActionFrame,
     ActionMeaning,
     Conditioning,
     EngineChoice,
@@ -64,6 +66,9 @@ class TrainConfig:
     ] = PRESET
     """What the policy's actions mean; native is whatever a recorded dataset's do. Grip poses become
     what they move by and back, and so do joint angles."""
+    action_frame: ActionFrame = "base"
+    """What the policy predicts eef_delta or eef_abs in: the robot's own frame, or that of its first
+    camera, whose pose makes them the robot's again."""
     rotations: Rotations = "nominal"
     """What the rotation vectors of eef_abs are counted from: a grip that points down, where they
     are small, or the world's axes, as until version 0.1.0, where they jump."""
@@ -194,6 +199,7 @@ class TrainConfig:
     def __post_init__(self) -> None:
         check_types(self)
         check_rotation_form(vars(self)["action_space"] or "eef_delta", self.rotations)
+        check_action_frame(vars(self)["action_space"], self.action_frame)
         check_least(self, 1, "views steps batch n demos pairs keep log_every eval_every")
         check_least(self, 1, "save_every steps_per_call accumulate")
         check_least(self, 0, "warmup weight_decay m validation ema ema_power clip_norm")

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from jaxcam.config.names import Conditioning
+from jaxcam.config.names import ActionFrame, Conditioning
 from jaxcam.data.recorded.recording import Calibration, Episode, Placement, Recording, Sight
 from jaxcam.errors import CameraError, ConfigError, DatasetError, closest
 from jaxcam.files.paths import home
@@ -96,18 +96,24 @@ def sources(recording: Recording) -> list[str]:
     return lines
 
 
-def require_calibrated(recording: Recording, conditioning: Conditioning) -> None:
+def require_calibrated(
+    recording: Recording, conditioning: Conditioning, action_frame: ActionFrame = "base"
+) -> None:
     """Refuses a recording whose cameras a policy would not be told.
 
     Args:
         recording: After `calibrated`.
         conditioning: How the policy is told where its cameras are.
+        action_frame: What it predicts actions in.
 
     Raises:
         DatasetError: Naming the views without a calibration, what is missing, and the shortest way
             to get one.
     """
-    if conditioning == "none":
+    needs = "--action-frame camera" if action_frame == "camera" else ""
+    if conditioning != "none":
+        needs = f"--conditioning {conditioning}"
+    if not needs:
         return
     missing = []
     for view in recording.views:
@@ -119,10 +125,11 @@ def require_calibrated(recording: Recording, conditioning: Conditioning) -> None
             missing.append((words, _entries(view, sight)))
     if missing:
         raise DatasetError(
-            f"{recording.path}: cameras without a calibration, which --conditioning {conditioning} "
+            f"{recording.path}: cameras without a calibration, which {needs} "
             f"needs: {'; '.join(words for words, _ in missing)}. The shortest way: measure them, "
             f"write cameras.json, and give --cameras cameras.json, for example {missing[0][1]} "
-            f"({PAGE} has the conventions). Or train without: --conditioning none."
+            f"({PAGE} has the conventions). Or train without: --conditioning none"
+            f"{' --action-frame base' if action_frame == 'camera' else ''}."
         )
 
 

@@ -10,7 +10,7 @@ from jaxcam.config.fields import overrides
 from jaxcam.config.names import ActionMeaning
 from jaxcam.config.sizes import rows_and_columns, size_name
 from jaxcam.config.train import TrainConfig
-from jaxcam.data.batches import Dataset
+from jaxcam.data.batches import Dataset, seen_by_cameras
 from jaxcam.data.recorded.fitting import keeping_shape
 from jaxcam.data.recorded.parts import HeldOut, Meaning, Parts, make_recorded, meaning_of, parts_of
 from jaxcam.data.recorded.pictures import load_recorded_pictures
@@ -88,7 +88,7 @@ class Recorded:
         given = vars(config)
         views = given["views"] or max(1, len(usual))
         conditioning = given["conditioning"] or preset.conditioning
-        require_calibrated(self.recording, conditioning)
+        require_calibrated(self.recording, conditioning, config.action_frame)
         parts = parts_of(self.recording, _held_out(config), views)
         config = replace(
             config,
@@ -138,6 +138,11 @@ class Recorded:
         """Numbers of an action, and of what the robot feels."""
         return len(self.recording.action_names), len(self.recording.state_names)
 
+    def base_from_actions(self, config: TrainConfig) -> np.ndarray:
+        """The frame that grip poses of the actions are in [4, 4]: the base's, as the state's."""
+        del config  # a recording does not say more
+        return np.eye(4)
+
     def interface(self, config: TrainConfig) -> Interface:
         """What a policy of the dataset is shown and answers, in the dataset's words."""
         recording = self.recording
@@ -165,7 +170,8 @@ class Recorded:
         size = rows_and_columns(config.resolution)
         folder = absolute(config.data_dir)
         pictures = load_recorded_pictures(self.recording, parts, size, folder, console, wanted)
-        return make_recorded(self.recording, parts, pictures, self.meaning(config))
+        dataset = make_recorded(self.recording, parts, pictures, self.meaning(config))
+        return seen_by_cameras(dataset, config, self.base_from_actions(config))
 
     def conclude(
         self,

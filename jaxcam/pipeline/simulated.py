@@ -3,11 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 from rich.console import Console
 
 from jaxcam.config.datasets import CollectConfig
 from jaxcam.config.train import TrainConfig
-from jaxcam.data.batches import Dataset, make_dataset
+from jaxcam.data.batches import Dataset, make_dataset, seen_by_cameras
 from jaxcam.data.collection import collect
 from jaxcam.data.demos import read_demos
 from jaxcam.data.pictures import load_pictures
@@ -19,6 +20,7 @@ from jaxcam.evaluation.checkpoint import Wanted, evaluate
 from jaxcam.evaluation.evaluator import Candidate, Evaluator
 from jaxcam.files.paths import absolute
 from jaxcam.models import Policy, policy_settings
+from jaxcam.rays import invert
 from jaxcam.reports.camera_figures import ray_picture
 from jaxcam.reports.run_figures import write_plots
 from jaxcam.reports.run_page import write_report
@@ -79,6 +81,10 @@ class Simulated:
         """Numbers of an action, and of what the robot feels."""
         return action_dim(config.action_space), PROPRIO_DIM
 
+    def base_from_actions(self, config: TrainConfig) -> np.ndarray:
+        """The world that grip poses of the actions are in [4, 4]."""
+        return invert(make_task(self.task).scene(config.scene).world_from_base)
+
     def interface(self, config: TrainConfig) -> Interface:
         """What a policy of the task is shown and answers, by name."""
         return simulated_interface(config)
@@ -103,7 +109,8 @@ class Simulated:
         wanted = samples.wanted(seeds, config.steps, config.batch, config.views, obs_steps)
         pictures = load_pictures(demos, config.resolution, console, wanted)
         space = space_of(config.action_space, config.rotations)
-        return make_dataset(demos, pictures, space, task.scene(config.scene))
+        dataset = make_dataset(demos, pictures, space, task.scene(config.scene))
+        return seen_by_cameras(dataset, config, self.base_from_actions(config))
 
     def conclude(
         self,

@@ -5,6 +5,7 @@ from jaxcam.rays._arrays import Array, array_namespace, matmul
 __all__ = [
     "Array",
     "array_namespace",
+    "matmul",
     "matrix_from_quaternion",
     "matrix_from_rotvec",
     "nearest_rotation",

@@ -36,7 +36,8 @@ from jaxcam.reports.tables import paper_value
 from jaxcam.results.stats import p_text
 
 COLOURS = {"none": "#7A828C", "token": "#CC79A7", "early": "#E69F00", "late": "#0072B2",
-           "keypoints": "#009E73"}  # fmt: skip
+           "keypoints": "#009E73", "warp": "#8C6D31", "prope": "#6A3D9A", "gta": "#56B4E9",
+           "ray_rope": "#A50F15"}  # fmt: skip
 _NAMES = {"none": "image only"}
 _OTHER = "#D55E00"
 """Of a conditioning that is not ours, in rows that somebody else wrote."""

@@ -165,6 +165,8 @@ def default_folder(config: TrainConfig) -> str:
         parts.append(f"as_{twin_of}")
     if config.action_space != usual["action_space"]:
         parts.append(config.action_space)
+    if config.action_frame != TrainConfig.action_frame:
+        parts.append(f"{config.action_frame}_frame")
     if (config.n, config.m) != (usual["n"], usual["m"]) and config.task != RECORDED:
         parts.append(f"n{config.n}m{config.m}")
     if config.views != usual["views"]:
@@ -212,6 +214,8 @@ def identity(config: TrainConfig) -> Settings:
     values["model"] = list(config.model)
     if config.action_space != "eef_abs":
         del values["rotations"]  # they are none of its actions'
+    if config.action_frame == TrainConfig.action_frame:
+        del values["action_frame"]  # results from before there was another lack it
     if config.task == RECORDED:
         values |= {
             name: list(getattr(config, name)) for name in ("hold_out_view", "hold_out_episodes")
@@ -244,7 +248,7 @@ def changes(settings: Settings) -> Settings:
 def _usual(*named: str, steps: int | None = None) -> Settings:
     config = TrainConfig(**dict(zip(_NAMED, named, strict=True)), steps=steps)  # pyright: ignore
     usual = identity(resolve(config, accelerator=False)) | USUAL_WAY
-    return usual | {"rotations": TrainConfig.rotations}
+    return usual | {k: getattr(TrainConfig, k) for k in ("rotations", "action_frame")}
 
 
 def network_of(settings: Mapping[str, Any]) -> str | None:

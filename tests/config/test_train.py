@@ -15,6 +15,8 @@ from jaxcam.errors import ConfigError
         ({"conditioning": "keypoint"}, "did you mean 'keypoints'"),
         ({"action_space": "ee_delta"}, "did you mean 'eef_delta'"),
         ({"preset": "papr"}, "did you mean 'paper'"),
+        ({"action_frame": "camera", "action_space": "joint_abs"}, "eef_delta or eef_abs, and not"),
+        ({"action_frame": "camera", "action_space": "native"}, "and not native"),
         ({"batch": 0}, "batch must be at least 1, got 0"),
         ({"lr": 0.0}, "lr must be finite and more than 0"),
         ({"lr": float("nan")}, "lr must be"),
