@@ -11,6 +11,7 @@ from pathlib import Path
 from rich.console import Console
 
 from jaxcam.config.commands import EvaluateConfig
+from jaxcam.config.conditions import Conditions
 from jaxcam.config.train import TrainConfig
 from jaxcam.devices import gathered, is_first, joined
 from jaxcam.errors import CheckpointError, ConfigError, JaxcamError
@@ -22,9 +23,9 @@ from jaxcam.reports.run_figures import write_plots
 from jaxcam.reports.run_page import write_report
 from jaxcam.results.protocol import missing, protocol_of
 from jaxcam.results.stats import latest_rows, success_rate
-from jaxcam.runs.identity import RECORDED
+from jaxcam.runs.identity import RECORDED, read_config
 from jaxcam.runs.metrics import read_metrics
-from jaxcam.runs.rollouts import read_run_rows
+from jaxcam.runs.rollouts import as_usual, read_run_rows
 from jaxcam.training.checkpoint import checkpoint_steps, load_policy_inputs, rebuild_policy
 
 
@@ -49,41 +50,52 @@ def evaluate_run(config: EvaluateConfig, folder: Path, console: Console | None) 
     if config.protocol == "paper":
         steps, lacking = steps_to_judge(folder, inputs.config)
     policy = rebuild_policy(inputs)
-    evaluator = Evaluator(inputs.config, config.width, config.engine, config.ensemble)
-    rows = read_run_rows(folder)
     wanted = Wanted(config.split, config.pairs)
-    open_steps = [s for s in steps if missing(rows_of(rows, evaluator, s, wanted), config.pairs)]
-    for step in gathered(open_steps)[0]:
-        try:
-            if step != inputs.step:
-                inputs = load_policy_inputs(folder, step)
-        except CheckpointError as error:
-            lacking.append(str(error))
-            continue
-        videos = config.videos if step == steps[0] else 0
-        candidate = Candidate(policy, inputs.params, folder, step)
-        evaluate(evaluator, candidate, replace(wanted, videos=videos), console)
-    if is_first():
-        _conclude(config, folder, steps, console)
+    for conditions in config.conditions(Conditions.of(inputs.config)):
+        evaluator = Evaluator(
+            inputs.config, config.width, config.engine, config.ensemble, conditions
+        )
+        rows = read_run_rows(folder)
+        open_steps = [
+            s for s in steps if missing(rows_of(rows, evaluator, s, wanted), wanted.pairs)
+        ]
+        for step in gathered(open_steps)[0]:
+            try:
+                if step != inputs.step:
+                    inputs = load_policy_inputs(folder, step)
+            except CheckpointError as error:
+                lacking += [] if str(error) in lacking else [str(error)]
+                continue
+            videos = config.videos if step == steps[0] else 0
+            candidate = Candidate(policy, inputs.params, folder, step)
+            evaluate(evaluator, candidate, replace(wanted, videos=videos), console)
+        if is_first():
+            _conclude(config, folder, steps, evaluator.conditions, console)
     if lacking:
         raise CheckpointError(" ".join(lacking))
 
 
 def _conclude(
-    config: EvaluateConfig, folder: Path, steps: Sequence[int], console: Console | None
+    config: EvaluateConfig,
+    folder: Path,
+    steps: Sequence[int],
+    conditions: Conditions,
+    console: Console | None,
 ) -> None:
-    """Draws, writes the run's report and tells the result."""
-    rows = [
+    """Draws, writes the run's report and tells the result under some conditions."""
+    every = [
         r
         for r in latest_rows(read_run_rows(folder))
         if r.step in steps and r.split == config.split and r.pair < config.pairs
     ]
-    write_plots(folder / "plots", read_metrics(folder), rows)
+    write_plots(folder / "plots", read_metrics(folder), as_usual(every, read_config(folder)))
     report = write_report(folder)
+    rows = [row for row in every if row.conditions == tuple(conditions.said.values())]
     if console:
         what = f"{len(steps)} checkpoints" if len(steps) > 1 else f"step {steps[0]}"
+        words = f"{what}, {conditions.words}" if conditions.words else what
         console.print(
-            f"{folder.name}: success on {config.pairs} {config.split} pairs at {what}: "
+            f"{folder.name}: success on {config.pairs} {config.split} pairs at {words}: "
             f"{success_rate(rows)}",
             soft_wrap=True,
             markup=False,

@@ -24,7 +24,7 @@ from jaxcam.runs.action_errors import read_errors
 from jaxcam.runs.foreign import has_foreign, read_foreign_record
 from jaxcam.runs.identity import RECORDED, differences, plain, read_config, resolve
 from jaxcam.runs.metrics import MetricsRow, read_metrics
-from jaxcam.runs.rollouts import read_run_rows
+from jaxcam.runs.rollouts import as_usual, read_run_rows
 
 _PLOTS = {
     "success_map": "Each held-out camera by direction; the side panels bin one angle at a time.",
@@ -62,6 +62,8 @@ def write_report(run_dir: str | Path) -> Path:
         raise ConfigError(f"{run} is not the folder of a run: it has no config.json.")
     # Rows of validation pairs serve to choose settings; they are no result.
     rows = [row for row in latest_rows(read_run_rows(run)) if row.split == "test"]
+    own = read_foreign_record(run) if has_foreign(run) else read_config(run)
+    rows = as_usual(rows, own)  # the others are for reports, which set them side by side
     newest = max((row.step for row in rows), default=0)
     shown = [row for row in rows if row.step == newest]
     about = _about_foreign(run, shown) if has_foreign(run) else _about(run_dir, shown, newest)

@@ -14,6 +14,7 @@ from jaxcam.sim.mujoco.machine import has_accelerator
 from jaxcam.sim.mujoco.render_inputs import Placing
 from jaxcam.sim.mujoco.render_program import Inputs, Kernel
 from jaxcam.sim.mujoco.scene import Scene
+from jaxcam.sim.painter import require_pinholes
 from jaxcam.sim.types import View
 
 
@@ -70,8 +71,9 @@ class Renderer:
         """`rgb` for use inside a compiled program, poses included: uint8 [B, H, W, 3]."""
         count, full = len(view.qpos), -(-len(view.qpos) // self.batch) * self.batch
         model, base = self._kernel.model, self._kernel.data
+        require_pinholes(view)
         inputs = self._placing.traced(
-            model, base, View(*(jnp.asarray(x, jnp.float32) for x in view))
+            model, base, jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), view)
         )
         groups = jax.tree.map(
             lambda x: jnp.resize(x, (full, *x.shape[1:])).reshape(-1, self.batch, *x.shape[1:]),
@@ -85,6 +87,7 @@ class Renderer:
 
         With several samples per pixel the depth is that of each pixel's upper left one.
         """
+        require_pinholes(view)
         count = len(view.qpos)
         rgb = np.empty((count, self.height, self.width, 3), np.uint8)
         depth = np.empty((count, self.height, self.width), np.float32)
