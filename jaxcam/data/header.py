@@ -1,4 +1,4 @@
-"""What a demonstration file says of itself, and its cameras: poses, and intrinsics if these vary."""
+"""What a demonstration file says of itself, and its cameras, whose intrinsics may differ."""
 # K is K.
 # pyright: reportConstantRedefinition=false
 

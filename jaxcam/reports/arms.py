@@ -9,6 +9,7 @@ import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from jaxcam.config.names import TaskName, names_of
 from jaxcam.reports.packs.records import NAMED
@@ -16,7 +17,7 @@ from jaxcam.results.differences import PairedDifference, paired_difference
 from jaxcam.results.protocol import Protocol, counted, is_foreign, lacks, protocol_of
 from jaxcam.results.rows import USUAL_WAY, Row
 from jaxcam.results.stats import Estimate, success_rate
-from jaxcam.runs.identity import USUAL_SPACE, Settings, changes, plain
+from jaxcam.runs.identity import OF_CAMERAS, USUAL_SPACE, Settings, changes, plain
 from jaxcam.sim import make_task
 
 _SAID = (*NAMED, "preset")
@@ -67,6 +68,14 @@ class Arm:
         """What its runs share."""
         return self.runs[0].settings
 
+    def setting(self, name: str) -> Any:
+        """One of its settings, as usual where it has it not.
+
+        Args:
+            name: Of the setting.
+        """
+        return self.settings.get(name, OF_CAMERAS.get(name))
+
     @functools.cached_property
     def rows(self) -> list[Row]:
         """The counted rows of all its runs."""
@@ -102,7 +111,7 @@ class Arm:
         if self.settings.get("preset") is not None:
             return changes(self.settings)
         views = usual_views(self.settings["task"])
-        usual = USUAL_WAY | {"views": views, "action_space": USUAL_SPACE}
+        usual = USUAL_WAY | OF_CAMERAS | {"views": views, "action_space": USUAL_SPACE}
         return {
             k: v for k, v in self.settings.items()
             if k not in _SAID and v not in (None, "", [], usual.get(k))

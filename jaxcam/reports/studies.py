@@ -8,7 +8,8 @@ from typing import Any
 from jaxcam.config.names import Conditioning, names_of
 from jaxcam.reports import paper
 from jaxcam.reports.arms import Arm
-from jaxcam.reports.tables import by_task, context
+from jaxcam.reports.tables import by_task, context, is_told_wrong
+from jaxcam.runs.identity import OF_CAMERAS
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,14 @@ STUDIES = (
     Study("weights", "Pretrained image encoders", "pretraining", {"": "none"}),
     Study("n", "Number of cameras, all seen by every demonstration (m = 0)", "cameras", {},
           lambda arm: arm.settings.get("m") == 0),
+    Study("ray_frame", "Frame of the rays", "ray_frames",
+          {"base": "base", "world": "world", "grip": "grip", "about_grip": "about the grip",
+           "about_table": "about the table"}),
+    Study("pose_noise", "Errors of the poses in training", "pose_noise_in_training", {"": "none"}),
+    Study("pose_noise_per", "What errors in training are drawn for", "pose_noise_per",
+          {"sample": "samples", "episode": "episodes", "camera": "cameras"}),
+    Study("rays_from", "Intrinsics that are told", "rays_from",
+          {"true": "the cameras'", "nominal": "the usual"}),
 )  # fmt: skip
 
 
@@ -70,7 +79,11 @@ def panels(study: Study, arms: Sequence[Arm]) -> list[Panel]:
         study: The figure.
         arms: All there are.
     """
-    known = [a for a in arms if a.estimate.n and study.belongs(a) and study.field in a.settings]
+    known = [
+        a for a in arms
+        if a.estimate.n and not is_told_wrong(a) and study.belongs(a)
+        and (study.field in a.settings or (study.field in OF_CAMERAS and "preset" in a.settings))
+    ]  # fmt: skip
     shown = []
     for some in by_task(known).values():
         groups: dict[str, list[Arm]] = {}
@@ -82,7 +95,7 @@ def panels(study: Study, arms: Sequence[Arm]) -> list[Panel]:
                 continue
             chosen = {
                 value: {a.settings["conditioning"]: a for a in _in_order(group)
-                        if a.settings[study.field] == value}
+                        if a.setting(study.field) == value}
                 for value in values
             }  # fmt: skip
             shown.append(Panel(_title(study, group[0]), chosen))
@@ -96,7 +109,7 @@ def arms_of(shown: Sequence[Panel]) -> list[Arm]:
 
 def arm_names(study: Study, arms: Sequence[Arm]) -> dict[Any, str]:
     """The values that arms have of a study's setting, in its order, with their names."""
-    there = {arm.settings[study.field] for arm in arms}
+    there = {arm.setting(study.field) for arm in arms}
     others = sorted(there - set(study.names), key=_number_or_text)
     return {v: study.names.get(v, str(v)) for v in (*study.names, *others) if v in there}
 
@@ -113,7 +126,7 @@ def _compared(study: Study, arms: Sequence[Arm]) -> list[Arm]:
         return list(arms)
     values: dict[str, set[Any]] = {}
     for arm in arms:
-        values.setdefault(arm.settings["conditioning"], set()).add(arm.settings[study.field])
+        values.setdefault(arm.settings["conditioning"], set()).add(arm.setting(study.field))
     return [arm for arm in arms if len(values[arm.settings["conditioning"]]) > 1]
 
 

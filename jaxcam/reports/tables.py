@@ -23,6 +23,9 @@ NONE = "–"
 _NOTHING = (math.nan, math.nan)
 # Settings that a task brings with it, so that they differ between the columns of Table I.
 _OF_TASK = ("n", "m", "views", "steps")
+_OF_WHAT_IS_TOLD = ("pose_noise", "pose_noise_per", "ray_frame", "rays_from",
+                    "eval_pose_noise", "eval_pose_drift")  # fmt: skip
+"""Settings that an image-only policy does not notice."""
 
 
 def context(arm: Arm, *without: str) -> str:
@@ -35,16 +38,26 @@ def context(arm: Arm, *without: str) -> str:
     return json.dumps(kept, sort_keys=True)
 
 
+def is_told_wrong(arm: Arm) -> bool:
+    """Whether its policy was told poses with errors when it was evaluated."""
+    return any(arm.settings.get(name) for name in ("eval_pose_noise", "eval_pose_drift"))
+
+
+def image_only_context(arm: Arm) -> str:
+    """What an arm shares with its image-only twin, which no error of what is told reaches."""
+    return context(arm, "conditioning", *_OF_WHAT_IS_TOLD)
+
+
 def baselines(arms: Sequence[Arm]) -> dict[str, Arm]:
-    """The image-only arms by `context(arm, "conditioning")`."""
-    return {context(a, "conditioning"): a for a in arms if a.settings["conditioning"] == "none"}
+    """The image-only arms by `image_only_context`."""
+    return {image_only_context(a): a for a in arms if a.settings["conditioning"] == "none"}
 
 
 def twins_of(arms: Sequence[Arm]) -> list[tuple[Arm, Arm]]:
     """Every conditioned arm that has rollouts, with the image-only arm of the same settings."""
     base = baselines(arms)
-    pairs = ((arm, base.get(context(arm, "conditioning"))) for some in by_task(arms).values()
-             for arm in some)  # fmt: skip
+    pairs = ((arm, base.get(image_only_context(arm))) for some in by_task(arms).values()
+             for arm in some if not is_told_wrong(arm))  # fmt: skip
     return [(a, b) for a, b in pairs if b and b is not a and a.estimate.n and b.estimate.n]
 
 
@@ -155,17 +168,17 @@ def cells(arms: Sequence[Arm], field: str, order: Mapping[Any, str]) -> Table:
     """
     base = baselines(arms)
     first = next(iter(order))
-    firsts = {context(a, field): a for a in arms if a.settings[field] == first}
+    firsts = {context(a, field): a for a in arms if a.setting(field) == first}
     rows = []
     for arm in arms:
         s, e = arm.settings, arm.estimate
-        twin = base.get(context(arm, "conditioning"))
+        twin = base.get(image_only_context(arm))
         reference = firsts.get(context(arm, field))
         others = [] if field == "conditioning" else [_against(arm, reference)]
         way = [] if field == "conditioning" else [s["conditioning"]]
         rows.append([
             _task(arm) if field != "scene" else paper.task_title(s["task"]),
-            arm.label(field), order[s[field]], *way,
+            arm.label(field), order[arm.setting(field)], *way,
             "\n".join([_rate(e.value, e.low, e.high), *e.of_seeds()]), arm.count(),
             _against(arm, twin), *others,
         ])  # fmt: skip
@@ -213,7 +226,7 @@ def to_csv(arms: Sequence[Arm]) -> str:
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(map(csv_cell, head))
     for arm in arms:
-        e, twin = arm.estimate, base.get(context(arm, "conditioning"))
+        e, twin = arm.estimate, base.get(image_only_context(arm))
         d = None if twin is None or twin is arm else arm.against(twin)
         settings = (arm.settings.get(name) for name in names)
         known = paper_value(arm)
@@ -248,7 +261,7 @@ def is_of_table(arm: Arm) -> bool:
     Somebody else's policy belongs there however it acts: the table has no other place for it.
     """
     if is_foreign_arm(arm):
-        return arm.settings["scene"] == "randomized"
+        return arm.settings["scene"] == "randomized" and not is_told_wrong(arm)
     way = arm.settings["conditioning"]
     known = way in ("none", _papers_way(arm.settings["policy"])) or way not in paper.ENCODINGS
     return known and paper.is_table_setting(arm.settings)
@@ -323,7 +336,7 @@ def _paper_gain(arm: Arm) -> str:
 def _rate_cell(arm: Arm | None, base: Mapping[str, Arm]) -> str:
     if arm is None or not arm.estimate.n:
         return NONE
-    e, twin = arm.estimate, base.get(context(arm, "conditioning"))
+    e, twin = arm.estimate, base.get(image_only_context(arm))
     gain = ""
     if twin is not None and twin is not arm and twin.rows:
         delta = arm.against(twin)

@@ -15,7 +15,15 @@ import numpy as np
 import scipy.stats
 
 from jaxcam.results.rows import Row
-from jaxcam.results.stats import LEVEL, PairOutcomes, by_pair, by_seed, p_text, with_seeds
+from jaxcam.results.stats import (
+    LEVEL,
+    Estimate,
+    PairOutcomes,
+    by_pair,
+    by_seed,
+    p_text,
+    with_seeds,
+)
 
 _MANY = 50
 """Pairs from which on the differences that were seen stand for those that were not. With fewer,
@@ -141,3 +149,16 @@ def _mean(groups: PairOutcomes, pair: object) -> float:
     """Of the rollouts of a pair."""
     outcomes = [bool(row.success) for row in groups[pair]]
     return sum(outcomes) / len(outcomes)
+
+
+def unpaired_difference(a: Estimate, b: Estimate) -> tuple[float, float, float]:
+    """A rate minus one on other pairs, with its 95 % interval (Newcombe's, of both intervals).
+
+    Args:
+        a: The one.
+        b: The other.
+    """
+    value = a.value - b.value
+    low = value - ((a.value - a.low) ** 2 + (b.high - b.value) ** 2) ** 0.5
+    high = value + ((a.high - a.value) ** 2 + (b.value - b.low) ** 2) ** 0.5
+    return value, low, high
