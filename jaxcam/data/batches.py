@@ -59,7 +59,7 @@ class Dataset:
     instruction: np.ndarray | None = field(default=None, repr=False)
     """What is asked in each demonstration, by its number among the prompts [D]; None where it is
     the same in all."""
-    frames: np.ndarray | None = field(default=None, repr=False)
+    ray_frames: np.ndarray | None = field(default=None, repr=False)
     """Before each action, the frame that policies are told their cameras in, from the base
     [D, T, 4, 4]; None is the base."""
     named: bool = False
@@ -111,9 +111,9 @@ class Dataset:
             "base_from_camera": self.base_from_camera[cameras],
             "proprio": self.proprio[demo[:, None], times],
         }
-        if self.frames is not None:
-            frames = self.frames[demo[:, None], times][:, :, None]
-            observed["base_from_camera"] = in_ray_frame(observed["base_from_camera"], frames)
+        if self.ray_frames is not None:
+            of_steps = self.ray_frames[demo[:, None], times][:, :, None]
+            observed["base_from_camera"] = in_ray_frame(observed["base_from_camera"], of_steps)
         if self.distortion is not None:
             observed["distortion"] = self.distortion[cameras]
         if obs_steps == 1:
@@ -166,7 +166,7 @@ def make_dataset(
         ray_frame: In which frame policies are told their cameras.
     """
     longest = int(pictures.layout.lengths.max())
-    actions, keyframes, proprio, frames = [], [], [], []
+    actions, keyframes, proprio, ray_frames = [], [], [], []
     for demo in demos.episodes:
         moves = demo_actions(demo, space, scene)
         state = scene.proprio(demo.qpos, demo.eef_pos)[:-1]
@@ -178,7 +178,7 @@ def make_dataset(
             grip = demo.world_from_grip()[:-1]
             local = grip_in_base(scene.world_from_base, grip[:, :3, 3], grip[:, :3, :3])
             moves_on = ((0, longest - demo.length), (0, 0), (0, 0))
-            frames.append(np.pad(frame_from_base(ray_frame, scene, *local), moves_on, "edge"))
+            ray_frames.append(np.pad(frame_from_base(ray_frame, scene, *local), moves_on, "edge"))
     cameras = invert(scene.world_from_base) @ demos.header.world_from_camera
     height, width = pictures.rgb.shape[1:3]
     lenses = demos.header.distortion
@@ -191,7 +191,7 @@ def make_dataset(
         proprio=np.stack(proprio).astype(np.float32),
         distortion=None if lenses is None else lenses.astype(np.float32),
         windows=[d.cameras for d in demos.episodes],
-        frames=np.stack(frames) if frames else None,
+        ray_frames=np.stack(ray_frames) if ray_frames else None,
         train=len(demos.train),
         fingerprint=f"{demos.fingerprint}-{size_name(height, width)}px-"
         f"{_IN_FINGERPRINTS.get(space, space)}",

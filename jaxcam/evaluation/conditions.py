@@ -33,13 +33,13 @@ class SeenPairs:
     Attributes:
         K: Intrinsics in pixels [B, V, 3, 3].
         lens: Packed coefficients [B, V, 9]; None where all are pinholes.
-        told: What policies are told that is not so.
+        claimed: What policies are told that is not so.
         fovy_deg: Of each pair's first camera [B]; None where all have the task's.
     """
 
     K: np.ndarray
     lens: np.ndarray | None
-    told: Told
+    claimed: Told
     fovy_deg: np.ndarray | None
 
 
@@ -79,12 +79,12 @@ class ConditionedPairs:
             K = at_size(drawn[0], *size)[rows]
             lens = None if drawn[1] is None else drawn[1][rows]
             fovy = np.rad2deg(2 * np.arctan(0.5 / drawn[0][rows[:, 0], 1, 1]))
-        told = Told(
+        claimed = Told(
             K=usual if self.rays_from == "nominal" and ranges else None,
             base_from_camera=self._poses(pairs, split, numbers),
             drift=self._drift(split, numbers, views),
         )
-        return SeenPairs(K, lens, told, fovy)
+        return SeenPairs(K, lens, claimed, fovy)
 
     def _poses(self, pairs: Pairs, split: str, numbers: Sequence[int]) -> np.ndarray | None:
         """The poses that are told, with their errors [B, V, 4, 4]; None without errors."""

@@ -233,20 +233,20 @@ class Evaluator:
         # Always worlds for `width`: neither policy nor compiled physics sees another size.
         filled = [*pairs, *[pairs[-1]] * (self.width - len(pairs))]
         chosen = self.pairs(split, filled)
-        seen = self._seen(chosen, split, filled, self.size)
+        sight = self._seen(chosen, split, filled, self.size)
         episodes = Episodes(
             chosen.start,
-            K=seen.K,
+            K=sight.K,
             world_from_camera=chosen.cameras,
             alive=np.arange(self.width) < len(pairs),
-            lens=seen.lens,
-            told=seen.told,
+            lens=sight.lens,
+            claimed=sight.claimed,
         )
         with candidate.acting(self) as agent:
             done = rollout(agent, self.task, self.engine, self.renderer, episodes, tick)
         rows = self._rows(candidate, split, pairs, chosen, done, agent.causes)
-        if seen.fovy_deg is not None:
-            angles = map(float, seen.fovy_deg)
+        if sight.fovy_deg is not None:
+            angles = map(float, sight.fovy_deg)
             rows = [replace(row, fovy_deg=fovy) for row, fovy in zip(rows, angles, strict=False)]
         return rows, done
 

@@ -170,14 +170,14 @@ def _conclude(
     console: Console | None,
 ) -> None:
     """Draws, writes the page and tells the result under some conditions."""
-    every = [
+    all_rows = [
         row
         for row in latest_rows(read_run_rows(folder))
         if row.split == config.split and row.pair < config.pairs
     ]
-    write_plots(folder / "plots", [], as_usual(every, record))
+    write_plots(folder / "plots", [], as_usual(all_rows, record))
     page = write_report(folder)
-    rows = [row for row in every if row.conditions == tuple(conditions.said.values())]
+    rows = [row for row in all_rows if row.conditions == tuple(conditions.said.values())]
     words = f", {conditions.words}" if conditions.words else ""
     if console:
         console.print(

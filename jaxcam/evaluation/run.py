@@ -83,14 +83,14 @@ def _conclude(
     console: Console | None,
 ) -> None:
     """Draws, writes the run's report and tells the result under some conditions."""
-    every = [
+    all_rows = [
         r
         for r in latest_rows(read_run_rows(folder))
         if r.step in steps and r.split == config.split and r.pair < config.pairs
     ]
-    write_plots(folder / "plots", read_metrics(folder), as_usual(every, read_config(folder)))
+    write_plots(folder / "plots", read_metrics(folder), as_usual(all_rows, read_config(folder)))
     report = write_report(folder)
-    rows = [row for row in every if row.conditions == tuple(conditions.said.values())]
+    rows = [row for row in all_rows if row.conditions == tuple(conditions.said.values())]
     if console:
         what = f"{len(steps)} checkpoints" if len(steps) > 1 else f"step {steps[0]}"
         words = f"{what}, {conditions.words}" if conditions.words else what

@@ -91,8 +91,8 @@ class Planned:
         fovy = make_task(self.config.task).fovy_deg
         usual = Conditions.of(self.config)
         own = [self.config.conditions if self.protocol == "one" else usual]
-        every = [*own, *(c for asked in self.evaluations for c in several(usual, asked))]
-        return list(dict.fromkeys(c.of_task(fovy) for c in every))
+        everything = [*own, *(c for asked in self.evaluations for c in several(usual, asked))]
+        return list(dict.fromkeys(c.of_task(fovy) for c in everything))
 
     @property
     def name(self) -> str:

@@ -38,7 +38,7 @@ class Cameras(NamedTuple):
     """The same in the robot's base frame as policies are told them, float32 [B, V, 4, 4]."""
     lens: Array | None = None
     """Coefficients from `jaxcam.rays.lens.pack` [B, V, 9]; None where all are pinholes."""
-    told: Told = Told()
+    claimed: Told = Told()
     """What else policies are told that is not so."""
 
 
@@ -69,7 +69,7 @@ def cameras_of(
     K: np.ndarray,
     world_from_camera: np.ndarray,
     lens: np.ndarray | None = None,
-    told: Told | None = None,
+    claimed: Told | None = None,
 ) -> Cameras:
     """Cameras that stand in a world.
 
@@ -78,13 +78,13 @@ def cameras_of(
         K: Intrinsics in pixels [B, V, 3, 3].
         world_from_camera: Poses, OpenCV axes [B, V, 4, 4].
         lens: Packed coefficients [B, V, 9]; None where all are pinholes.
-        told: What policies are told that is not so.
+        claimed: What policies are told that is not so.
     """
-    world_from_camera, told = np.asarray(world_from_camera), told or Told()
-    base_from_camera = told.base_from_camera
+    world_from_camera, claimed = np.asarray(world_from_camera), claimed or Told()
+    base_from_camera = claimed.base_from_camera
     if base_from_camera is None:
         base_from_camera = (invert(world.world_from_base) @ world_from_camera).astype(np.float32)
-    return Cameras(np.asarray(K), world_from_camera, base_from_camera, lens, told)
+    return Cameras(np.asarray(K), world_from_camera, base_from_camera, lens, claimed)
 
 
 def observe(
@@ -111,20 +111,20 @@ def observe(
         lenses also `distortion` float32 [B, V, 9].
     """
     world: World = painter.scene
-    told = cameras.told
+    claimed = cameras.claimed
     poses = cameras.base_from_camera
-    if told.drift is not None:
-        poses = _drifted(poses, told.drift, sensed.taken / CONTROL_HZ)
+    if claimed.drift is not None:
+        poses = _drifted(poses, claimed.drift, sensed.taken / CONTROL_HZ)
     if ray_frame != "base":
         grip = grip_in_base(world.world_from_base, sensed.grip_position, sensed.grip_rotation)
         poses = in_ray_frame(poses, frame_from_base(ray_frame, world, *grip)[:, None])
     shown = {
         "image": _pictures(painter, sensed.qpos, start, cameras, active),
-        "K": (cameras.K if told.K is None else told.K).astype(np.float32),
+        "K": (cameras.K if claimed.K is None else claimed.K).astype(np.float32),
         "base_from_camera": poses,
         "proprio": world.proprio(sensed.qpos, sensed.grip_position),
     }
-    if cameras.lens is not None and told.K is None:
+    if cameras.lens is not None and claimed.K is None:
         shown["distortion"] = cameras.lens.astype(np.float32)
     return shown
 

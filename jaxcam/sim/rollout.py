@@ -72,7 +72,7 @@ class Episodes:
     """[B] False for episodes that only fill the batch up; all are alive when None."""
     lens: np.ndarray | None = field(default=None, repr=False)
     """Packed coefficients of their cameras [B, V, 9]; None where all are pinholes."""
-    told: Told = field(default_factory=Told, repr=False)
+    claimed: Told = field(default_factory=Told, repr=False)
     """What the policy is told of them that is not so."""
 
 
@@ -115,7 +115,7 @@ def rollout(
         painter, agent.space, agent.execute, agent.obs_steps, agent.ensembling, agent.ray_frame
     )
     cameras = cameras_of(
-        world, episodes.K, episodes.world_from_camera, episodes.lens, episodes.told
+        world, episodes.K, episodes.world_from_camera, episodes.lens, episodes.claimed
     )
     inputs = _Inputs(agent.act, cameras)
     progress, trace = engine.run(

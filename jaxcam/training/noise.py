@@ -58,8 +58,8 @@ def pose_noise(size: str, per: PoseNoisePer) -> PoseChange | None:
             of_demo = jax.vmap(jax.random.fold_in, (None, 0))(key, demo)
             of_camera = jax.vmap(jax.random.fold_in, (None, 0))
             keys = jax.vmap(of_camera)(of_demo, batch["camera"])
-        told = jax.vmap(jax.vmap(wrong, (-3, 0), -3))(poses, keys)
+        wrong_poses = jax.vmap(jax.vmap(wrong, (-3, 0), -3))(poses, keys)
         kept = {name: x for name, x in batch.items() if name not in ("demo", "camera")}
-        return {**kept, "base_from_camera": told}
+        return {**kept, "base_from_camera": wrong_poses}
 
     return change

@@ -1,4 +1,4 @@
-"""Cameras of a file whose intrinsics differ: collected, kept, sealed, and in what is learned from."""
+"""Cameras of a file whose intrinsics differ: collected, kept, sealed, and in what is learned."""
 
 from dataclasses import replace
 

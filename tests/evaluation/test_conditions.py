@@ -1,4 +1,4 @@
-"""Pairs under conditions: what is told has its error, what is drawn has its range, all repeatable."""
+"""Pairs under conditions: what is told has its error, what is drawn its range, repeatably."""
 
 import numpy as np
 import pytest
@@ -30,14 +30,14 @@ def seen(world, split="test", numbers=NUMBERS, rays_from="true", **conditions):
 def errors(world, **more):
     """Rotation vectors and shifts of the poses that are told [B, V, 3]."""
     shown, true = seen(world, **more)
-    told = shown.told.base_from_camera
-    relative = np.swapaxes(true[..., :3, :3], -1, -2) @ told[..., :3, :3]
-    return rotvec_from_matrix(relative), told[..., :3, 3] - true[..., :3, 3]
+    poses = shown.claimed.base_from_camera
+    relative = np.swapaxes(true[..., :3, :3], -1, -2) @ poses[..., :3, :3]
+    return rotvec_from_matrix(relative), poses[..., :3, 3] - true[..., :3, 3]
 
 
 def test_usual_pairs_are_told_what_is_so(world):
     shown, _ = seen(world)
-    assert shown.told == (None, None, None) and shown.lens is None and shown.fovy_deg is None
+    assert shown.claimed == (None, None, None) and shown.lens is None and shown.fovy_deg is None
     assert np.array_equal(shown.K, np.broadcast_to(intrinsics(45.0, *SIZE), (3, 2, 3, 3)))
 
 
@@ -61,7 +61,7 @@ def test_an_error_of_another_size_has_the_same_direction(world):
 
 
 def test_drift_has_its_speed(world):
-    drift = seen(world, pose_drift="2,3")[0].told.drift
+    drift = seen(world, pose_drift="2,3")[0].claimed.drift
     assert np.allclose(np.linalg.norm(drift[..., :3], axis=-1), np.deg2rad(2))
     assert np.allclose(np.linalg.norm(drift[..., 3:], axis=-1), 0.03)
 
@@ -71,11 +71,11 @@ def test_fields_of_view_are_drawn_and_told(world):
     assert np.all((shown.fovy_deg >= 25) & (shown.fovy_deg <= 75)) and np.ptp(shown.fovy_deg) > 1
     expected = [intrinsics(fovy, *SIZE) for fovy in shown.fovy_deg]
     assert np.allclose(shown.K[:, 0], expected) and shown.lens.shape == (3, 2, 9)
-    assert shown.told.K is None
+    assert shown.claimed.K is None
     fewer = seen(world, fovy="25:75", numbers=[2])[0]
     assert np.allclose(fewer.fovy_deg, shown.fovy_deg[2]) and fewer.lens is None
 
 
 def test_with_nominal_rays_the_usual_k_is_told(world):
-    told = seen(world, fovy="25:75", rays_from="nominal")[0].told
-    assert np.array_equal(told.K[0, 0], intrinsics(45.0, *SIZE))
+    claimed = seen(world, fovy="25:75", rays_from="nominal")[0].claimed
+    assert np.array_equal(claimed.K[0, 0], intrinsics(45.0, *SIZE))

@@ -1,4 +1,4 @@
-"""Intrinsics that are drawn: within their ranges, repeatable, and K in the sense of conventions.md."""
+"""Intrinsics that are drawn: in their ranges, repeatable, K in the sense of conventions.md."""
 
 import numpy as np
 import pytest

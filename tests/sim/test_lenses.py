@@ -49,12 +49,12 @@ def view(lenses):
 
 
 def test_a_pixel_has_the_colour_of_its_bent_ray():
-    painter, seen = LensPainter(Sky(), Sky(SCALE)), view(LENSES)
-    pictures = painter.rgb(seen).astype(int)
-    camera = Camera(seen.K, seen.world_from_camera, HEIGHT, WIDTH, LENSES)
+    painter, shown = LensPainter(Sky(), Sky(SCALE)), view(LENSES)
+    pictures = painter.rgb(shown).astype(int)
+    camera = Camera(shown.K, shown.world_from_camera, HEIGHT, WIDTH, LENSES)
     truth = colours(camera).astype(int)
     assert abs(pictures - truth).max() <= 2
-    straight = colours(Camera(seen.K, seen.world_from_camera, HEIGHT, WIDTH)).astype(int)
+    straight = colours(Camera(shown.K, shown.world_from_camera, HEIGHT, WIDTH)).astype(int)
     assert abs(truth - straight).max((1, 2, 3)).min() > 8  # which a pinhole's picture is not
     assert painter.look() == f"sky-lens{SCALE}x"
 
@@ -67,8 +67,8 @@ def test_without_lenses_the_picture_is_the_painter_s():
 
 def test_pixels_without_a_ray_are_black():
     folding = np.tile(pack([-2.0, 0, 0, 0]), (3, 1))
-    pictures, seen = LensPainter(Sky(), Sky(SCALE)).rgb(view(folding)), view(folding)
-    has_ray = Camera(seen.K, seen.world_from_camera, HEIGHT, WIDTH, folding).has_ray()
+    pictures, shown = LensPainter(Sky(), Sky(SCALE)).rgb(view(folding)), view(folding)
+    has_ray = Camera(shown.K, shown.world_from_camera, HEIGHT, WIDTH, folding).has_ray()
     assert not has_ray.all() and has_ray.any()
     assert not pictures[~has_ray].any() and pictures[has_ray].any(-1).all()
 

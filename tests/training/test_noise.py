@@ -20,9 +20,9 @@ def errors(size="2,3", per="sample", step=0):
     batch = {"base_from_camera": POSES, "demo": DEMO, "camera": CAMERA, "image": 1}
     changed = jax.jit(pose_noise(size, per))(batch, ROOT, step)
     assert set(changed) == {"base_from_camera", "image"}
-    told = np.asarray(changed["base_from_camera"])
-    relative = np.swapaxes(POSES[..., :3, :3], -1, -2) @ told[..., :3, :3]
-    return rotvec_from_matrix(relative), told[..., :3, 3] - POSES[..., :3, 3]
+    wrong = np.asarray(changed["base_from_camera"])
+    relative = np.swapaxes(POSES[..., :3, :3], -1, -2) @ wrong[..., :3, :3]
+    return rotvec_from_matrix(relative), wrong[..., :3, 3] - POSES[..., :3, 3]
 
 
 @pytest.mark.parametrize("per", ["sample", "episode", "camera"])
@@ -56,9 +56,9 @@ def test_a_camera_is_wrong_in_one_way_in_all_episodes():
 
 def test_directions_are_uniform():
     batch = {"base_from_camera": np.tile(np.eye(4, dtype=np.float32), (4000, 1, 1, 1))}
-    told = np.asarray(pose_noise("1,100", "sample")(batch, ROOT, 0)["base_from_camera"])[:, 0]
-    second = np.einsum("bi,bj->ij", told[:, :3, 3], told[:, :3, 3]) / 4000
-    assert abs(told[:, :3, 3].mean(0)).max() < 0.05 and abs(second - np.eye(3) / 3).max() < 0.03
+    wrong = np.asarray(pose_noise("1,100", "sample")(batch, ROOT, 0)["base_from_camera"])[:, 0]
+    second = np.einsum("bi,bj->ij", wrong[:, :3, 3], wrong[:, :3, 3]) / 4000
+    assert abs(wrong[:, :3, 3].mean(0)).max() < 0.05 and abs(second - np.eye(3) / 3).max() < 0.03
 
 
 def test_no_error_is_no_change():

@@ -14,17 +14,17 @@ COUNT = 100
 def runs(tmp_path):
     """Cameras of 25 to 75 degrees; who is told poses alone fails outside of 35 to 55."""
     fovy = np.linspace(25, 75, COUNT)
-    for way, told, wins in (
+    for way, rays, wins in (
         ("late", "true", fovy > 0),
         ("late", "nominal", (fovy >= 35) & (fovy <= 55)),
         ("none", "true", fovy < 0),
     ):
-        name = f"{way}-{told}"
+        name = f"{way}-{rays}"
         rows = evaluation(wins, conditioning=way, policy="act", scene="randomized", step=4000,
                           run=name, eval_fovy="25:75")  # fmt: skip
         rows = [row.to_json() | {"fovy_deg": angle, "pair_sha": f"{row.pair:016x}"}
                 for row, angle in zip(rows, fovy, strict=True)]  # fmt: skip
-        make_run(tmp_path / name, conditioning=way, rays_from=told, fovy="35:55",
+        make_run(tmp_path / name, conditioning=way, rays_from=rays, fovy="35:55",
                  eval_fovy="25:75", pairs=0, rows=rows)  # fmt: skip
     return tmp_path
 
