@@ -67,7 +67,7 @@ class EvaluateConfig:
     ] = ()
     """By how much a further error grows every second, always in one direction."""
     fovy: Annotated[
-        tuple[str, ...], tyro.conf.arg(metavar="LOW:HIGH ..."), default("as in training")
+        tuple[str, ...], tyro.conf.arg(metavar="LOW:HIGH ..."), default("as in the run's own")
     ] = ()
     """Vertical fields of view of the cameras, in degrees; nominal is the task's."""
     aspect: Annotated[

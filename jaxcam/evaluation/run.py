@@ -51,7 +51,7 @@ def evaluate_run(config: EvaluateConfig, folder: Path, console: Console | None) 
         steps, lacking = steps_to_judge(folder, inputs.config)
     policy = rebuild_policy(inputs)
     wanted = Wanted(config.split, config.pairs)
-    for conditions in config.conditions(Conditions.of(inputs.config)):
+    for conditions in config.conditions(inputs.config.conditions):
         evaluator = Evaluator(
             inputs.config, config.width, config.engine, config.ensemble, conditions
         )

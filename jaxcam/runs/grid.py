@@ -89,9 +89,8 @@ class Planned:
     def conditions(self) -> list[Conditions]:
         """All that it is evaluated under, each once: its own, and those of further evaluations."""
         fovy = make_task(self.config.task).fovy_deg
-        usual = Conditions.of(self.config)
-        own = [self.config.conditions if self.protocol == "one" else usual]
-        everything = [*own, *(c for asked in self.evaluations for c in several(usual, asked))]
+        usual = self.config.conditions
+        everything = [usual, *(c for asked in self.evaluations for c in several(usual, asked))]
         return list(dict.fromkeys(c.of_task(fovy) for c in everything))
 
     @property

@@ -1,15 +1,18 @@
 """Grids of runs: what a file expands to, and what is refused in it."""
 
 import json
+from dataclasses import replace
 
 import pytest
 from small_grid import GRIDS, SMALL
 
+from jaxcam.config.commands import EvaluateConfig
+from jaxcam.config.conditions import Conditions
 from jaxcam.config.fields import to_json
 from jaxcam.config.flags import parse
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
-from jaxcam.runs.grid import read_grid
+from jaxcam.runs.grid import progress_of, read_grid
 
 
 def test_a_grid_is_every_combination_once(write):
@@ -54,6 +57,21 @@ def test_mistakes_in_a_grid_are_named(write, old, new, message):
     assert old in SMALL
     with pytest.raises(ConfigError, match=message):
         read_grid(write(SMALL.replace(old, new)))
+
+
+def test_further_evaluations_are_commands_of_their_own_and_asked_for(write):
+    more = "evaluations:\n  - {{pose_noise: ['0,0', '1,1'], pose_drift: '2,0'}}\n  - {{fovy: 45}}\n"
+    run = read_grid(write(SMALL.replace("runs:", f"{more}runs:"))).runs[0]
+    _, noisy, plain = run.commands()
+    config = parse(EvaluateConfig, noisy[3:])
+    assert config.run == (str(run.folder),) and config.step == 40
+    assert (config.pose_noise, config.pose_drift) == (("0,0", "1,1"), ("2,0",))
+    assert parse(EvaluateConfig, plain[3:]).fovy == ("45",)
+    drift = Conditions(pose_drift="2,0")
+    assert run.conditions == [Conditions(), drift, replace(drift, pose_noise="1,1")]
+    assert progress_of(run).asked == 3 * run.pairs
+    with pytest.raises(ConfigError, match="evaluation 1: pose_noise must be DEG,CM"):
+        read_grid(write(SMALL.replace("runs:", f"{more}runs:".replace("1,1", "1"))))
 
 
 @pytest.mark.parametrize(
