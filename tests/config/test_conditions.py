@@ -54,8 +54,10 @@ def test_what_cannot_be_is_refused(name, text, words):
 
 
 def test_texts_are_read():
-    assert degrees_and_cm("") == (0, 0) and degrees_and_cm("1,0.5") == (1, 0.5)
-    assert span("", "fovy", FOVY) is None and span("45", "fovy", FOVY) == (45, 45)
+    assert degrees_and_cm("") == (0, 0)
+    assert degrees_and_cm("1,0.5") == (1, 0.5)
+    assert span("", "fovy", FOVY) is None
+    assert span("45", "fovy", FOVY) == (45, 45)
     assert lens_spans("fisheye:-0.1:0.1,0.02") == ("fisheye", ((-0.1, 0.1), (0.02, 0.02)))
 
 
@@ -76,7 +78,8 @@ def test_the_task_s_own_field_of_view_is_no_condition():
 
 def test_rows_have_none_of_what_is_usual():
     said = Conditions(pose_noise="1,1").said
-    assert said.pop("eval_pose_noise") == "1,1" and set(said.values()) == {None}
+    assert said.pop("eval_pose_noise") == "1,1"
+    assert set(said.values()) == {None}
     assert Conditions(pose_noise="1,1", fovy="45").words == "pose_noise 1,1 fovy 45"
 
 

@@ -37,7 +37,9 @@ def errors(world, **more):
 
 def test_usual_pairs_are_told_what_is_so(world):
     shown, _ = seen(world)
-    assert shown.claimed == (None, None, None) and shown.lens is None and shown.fovy_deg is None
+    assert shown.claimed == (None, None, None)
+    assert shown.lens is None
+    assert shown.fovy_deg is None
     assert np.array_equal(shown.K, np.broadcast_to(intrinsics(45.0, *SIZE), (3, 2, 3, 3)))
 
 
@@ -55,9 +57,8 @@ def test_errors_have_their_size_and_are_each_pair_s_own(world):
 def test_an_error_of_another_size_has_the_same_direction(world):
     turn, shift = errors(world, pose_noise="2,3")
     more_turn, more_shift = errors(world, pose_noise="8,6")
-    assert np.allclose(4 * turn, more_turn, atol=2e-3) and np.allclose(
-        2 * shift, more_shift, atol=1e-5
-    )
+    assert np.allclose(4 * turn, more_turn, atol=2e-3)
+    assert np.allclose(2 * shift, more_shift, atol=1e-5)
 
 
 def test_drift_has_its_speed(world):
@@ -68,12 +69,15 @@ def test_drift_has_its_speed(world):
 
 def test_fields_of_view_are_drawn_and_told(world):
     shown, _ = seen(world, fovy="25:75", lens="opencv:-0.2:0")
-    assert np.all((shown.fovy_deg >= 25) & (shown.fovy_deg <= 75)) and np.ptp(shown.fovy_deg) > 1
+    assert np.all((shown.fovy_deg >= 25) & (shown.fovy_deg <= 75))
+    assert np.ptp(shown.fovy_deg) > 1
     expected = [intrinsics(fovy, *SIZE) for fovy in shown.fovy_deg]
-    assert np.allclose(shown.K[:, 0], expected) and shown.lens.shape == (3, 2, 9)
+    assert np.allclose(shown.K[:, 0], expected)
+    assert shown.lens.shape == (3, 2, 9)
     assert shown.claimed.K is None
     fewer = seen(world, fovy="25:75", numbers=[2])[0]
-    assert np.allclose(fewer.fovy_deg, shown.fovy_deg[2]) and fewer.lens is None
+    assert np.allclose(fewer.fovy_deg, shown.fovy_deg[2])
+    assert fewer.lens is None
 
 
 def test_with_nominal_rays_the_usual_k_is_told(world):

@@ -15,7 +15,7 @@ def test_values_are_in_their_ranges_and_fill_them():
     fovy = np.rad2deg(2 * np.arctan(0.5 / K[:, 1, 1]))
     aspect, offset = K[:, 1, 1] / K[:, 0, 0], np.hypot(K[:, 0, 2] - 0.5, K[:, 1, 2] - 0.5)
     drawn = [fovy, aspect, offset, lens[:, 0], lens[:, 1]]
-    for values, (low, high) in zip(drawn, [*vars(WIDE).values()][:3] + [*WIDE.coefficients],
+    for values, (low, high) in zip(drawn, [*[*vars(WIDE).values()][:3], *WIDE.coefficients],
                                    strict=True):  # fmt: skip
         assert low - 1e-9 <= values.min() < low + 0.01 * (high - low)
         assert high - 0.01 * (high - low) < values.max() <= high + 1e-9
@@ -29,7 +29,8 @@ def test_more_cameras_go_on_and_a_range_moves_no_other_draw():
     assert all(np.array_equal(a, b[:3]) for a, b in zip(few, many, strict=True))
     assert not np.allclose(few[0], sample_optics(WIDE, 3, 8)[0])
     alone = sample_optics(OpticsRanges((35, 55)), 3, 7)
-    assert np.array_equal(alone[0][:, 1, 1], few[0][:, 1, 1]) and alone[1] is None
+    assert np.array_equal(alone[0][:, 1, 1], few[0][:, 1, 1])
+    assert alone[1] is None
 
 
 def test_one_value_is_the_usual_k_at_every_size():

@@ -22,8 +22,10 @@ def drawn(rng, pairs, half, base=0.1):
 def test_a_line_is_halved_in_its_middle():
     outcomes = np.repeat([[0.9], [0.7], [0.5], [0.3], [0.1]], 20, 1)
     result = halving(np.arange(5.0), outcomes, np.full(20, 0.1))
-    assert np.isclose(result.value, 2) and np.allclose([result.low, result.high], 2)
-    assert result.pairs == 20 and str(result) == "2 [2, 2] (20 pairs)"
+    assert np.isclose(result.value, 2)
+    assert np.allclose([result.low, result.high], 2)
+    assert result.pairs == 20
+    assert str(result) == "2 [2, 2] (20 pairs)"
 
 
 def test_a_bump_is_no_crossing():
@@ -35,10 +37,13 @@ def test_a_bump_is_no_crossing():
 def test_what_is_never_halved_and_what_was_never_gained():
     flat = np.ones((5, 30))
     result = halving(LEVELS, flat, np.zeros(30))
-    assert np.isinf(result.value) and str(result) == "> 8 [inf, > 8] (30 pairs)"
+    assert np.isinf(result.value)
+    assert str(result) == "> 8 [inf, > 8] (30 pairs)"
     result = halving(LEVELS, np.zeros((5, 30)), np.zeros(30))
-    assert np.isnan(result.value) and "no gain" in str(result)
-    assert result.low == 0 and np.isinf(result.high)
+    assert np.isnan(result.value)
+    assert "no gain" in str(result)
+    assert result.low == 0
+    assert np.isinf(result.high)
     assert halving(LEVELS, np.zeros((5, 0)), np.zeros(0)).pairs == 0
 
 
@@ -59,4 +64,6 @@ def test_rows_are_matched_by_pair():
 
     curve = [(2.0, rows([0, 0, 0, 0, 1])), (0.0, rows([1, 1, 1, 1])), (1.0, rows([1, 1, 0, 0]))]
     result = halving_error(curve, rows([0, 0, 0, 0]))
-    assert result.pairs == 4 and result.value == 1.0 and result.largest == 2.0
+    assert result.pairs == 4
+    assert result.value == 1.0
+    assert result.largest == 2.0

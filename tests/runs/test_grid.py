@@ -64,7 +64,8 @@ def test_further_evaluations_are_commands_of_their_own_and_asked_for(write):
     run = read_grid(write(SMALL.replace("runs:", f"{more}runs:"))).runs[0]
     _, noisy, plain = run.commands()
     config = parse(EvaluateConfig, noisy[3:])
-    assert config.run == (str(run.folder),) and config.step == 40
+    assert config.run == (str(run.folder),)
+    assert config.step == 40
     assert (config.pose_noise, config.pose_drift) == (("0,0", "1,1"), ("2,0",))
     assert parse(EvaluateConfig, plain[3:]).fovy == ("45",)
     drift = Conditions(pose_drift="2,0")
@@ -81,6 +82,8 @@ def test_the_grids_of_the_repository_are_whole(path):
     plan = read_grid(path)
     assert plan.runs
     assert len({r.folder for r in plan.runs}) == len(plan.runs)
+    if path.parent.name == "beyond":
+        return  # these are no protocol of the paper's
     seeds = {r.config.policy: set() for r in plan.runs}
     for r in plan.runs:
         seeds[r.config.policy].add(r.config.seed)

@@ -42,7 +42,8 @@ def test_each_sample_has_its_own_anew_at_every_step_and_again_the_same():
 
 def test_an_episode_s_camera_is_always_wrong_in_one_way():
     shift = errors(per="episode")[1][:, 0]
-    assert np.array_equal(shift[0], shift[1]) and np.array_equal(shift[2], shift[3])
+    assert np.array_equal(shift[0], shift[1])
+    assert np.array_equal(shift[2], shift[3])
     assert not np.isclose(shift[0], shift[2]).all(-1).any()
     assert np.array_equal(shift[5], shift[0][[1, 0, 2]])  # the same cameras in another order
     assert np.array_equal(shift, errors(per="episode", step=9)[1][:, 0])
@@ -50,7 +51,8 @@ def test_an_episode_s_camera_is_always_wrong_in_one_way():
 
 def test_a_camera_is_wrong_in_one_way_in_all_episodes():
     shift = errors(per="camera")[1][:, 0]
-    assert np.array_equal(shift[0], shift[4]) and np.array_equal(shift[5], shift[0][[1, 0, 2]])
+    assert np.array_equal(shift[0], shift[4])
+    assert np.array_equal(shift[5], shift[0][[1, 0, 2]])
     assert not np.isclose(shift[0, 0], shift[0, 1]).any()
 
 
@@ -58,7 +60,8 @@ def test_directions_are_uniform():
     batch = {"base_from_camera": np.tile(np.eye(4, dtype=np.float32), (4000, 1, 1, 1))}
     wrong = np.asarray(pose_noise("1,100", "sample")(batch, ROOT, 0)["base_from_camera"])[:, 0]
     second = np.einsum("bi,bj->ij", wrong[:, :3, 3], wrong[:, :3, 3]) / 4000
-    assert abs(wrong[:, :3, 3].mean(0)).max() < 0.05 and abs(second - np.eye(3) / 3).max() < 0.03
+    assert abs(wrong[:, :3, 3].mean(0)).max() < 0.05
+    assert abs(second - np.eye(3) / 3).max() < 0.03
 
 
 def test_no_error_is_no_change():

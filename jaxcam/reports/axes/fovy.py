@@ -1,5 +1,6 @@
 """Success over the field of view, inside and outside the range of the training."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,11 +65,11 @@ class FovyCurve:
         known = [row.fovy_deg or 0.0 for row in self.rows]
         ends = [min(known), *(x for x in self.trained if min(known) < x < max(known)), max(known)]
         edges: list[float] = []
-        for low, high in zip(ends, ends[1:], strict=False):
+        for low, high in itertools.pairwise(ends):
             count = max(1, round((high - low) / _WIDEST_BIN))
             edges += np.linspace(low, high, count + 1).tolist()[:-1]
         edges.append(ends[-1])
-        pairs = list(zip(edges, edges[1:], strict=False))
+        pairs = list(itertools.pairwise(edges))
         some = [((a + b) / 2, self.within(a, b)) for a, b in pairs]
         return [(middle, estimate) for middle, estimate in some if estimate.n]
 

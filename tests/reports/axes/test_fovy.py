@@ -35,7 +35,8 @@ def test_inside_and_outside_are_told_apart(runs):
     assert set(by_name) == {"late", "late, extrinsics only", "image only"}
     alone = by_name["late, extrinsics only"]
     assert alone.trained == (35, 55)
-    assert alone.within(*alone.trained).value == 1 and alone.outside().value == 0
+    assert alone.within(*alone.trained).value == 1
+    assert alone.outside().value == 0
     assert [e.value for _, e in alone.bins()] == [0, 1, 1, 0, 0]
     assert [round(x) for x, _ in alone.bins()] == [30, 40, 50, 60, 70]
     assert sum(e.n for _, e in alone.bins()) == COUNT

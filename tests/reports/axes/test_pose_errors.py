@@ -32,10 +32,13 @@ def runs(tmp_path):
 def test_each_level_is_an_arm_of_one_curve(runs):
     noise, drift = error_curves(arms_of(runs))
     assert set(noise.arms) == {(0, 0), (1, 0), (2, 0), (4, 0), (0, 1), (1, 1), (2, 2)}
-    assert noise.clean.estimate.value == 0.8 and noise.image_only.estimate.value == 0.1
-    assert [*noise.along("rotation")] == [0, 1, 2, 4] and [*noise.along("both")] == [0, 1, 2]
+    assert noise.clean.estimate.value == 0.8
+    assert noise.image_only.estimate.value == 0.1
+    assert [*noise.along("rotation")] == [0, 1, 2, 4]
+    assert [*noise.along("both")] == [0, 1, 2]
     assert noise.arms[2, 0].estimate.value == 0.5
-    assert set(drift.arms) == {(0, 0), (1, 1)} and drift.field == "eval_pose_drift"
+    assert set(drift.arms) == {(0, 0), (1, 1)}
+    assert drift.field == "eval_pose_drift"
 
 
 def test_the_report_draws_them_and_says_what_halves_the_gain(runs, tmp_path):
