@@ -91,7 +91,7 @@ def sampled(pictures: Array, u: Array, v: Array, drawn: Array) -> Array:
     """Pictures sampled between their pixels.
 
     Args:
-        pictures: uint8 [B, H, W, 3].
+        pictures: What is sampled, uint8 [B, H, W, 3].
         u: Columns [B, h, w], the middle of the first pixel at 0.5.
         v: Rows, likewise.
         drawn: Which samples are wanted [B, h, w]; the others are black.
