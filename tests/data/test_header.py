@@ -9,7 +9,13 @@ import pytest
 from jaxcam.config.datasets import CollectConfig
 from jaxcam.data.batches import make_dataset
 from jaxcam.data.cameras import camera_faults
-from jaxcam.data.collection import camera_windows, collect, dataset_path, new_header
+from jaxcam.data.collection import (
+    camera_windows,
+    collect,
+    dataset_path,
+    new_header,
+    with_stair,
+)
 from jaxcam.data.demos import read_demos
 from jaxcam.data.pictures import Pictures, views_of
 from jaxcam.data.samples import Layout
@@ -32,7 +38,9 @@ def alike(tmp_path_factory):
 @pytest.fixture(scope="module")
 def varied(alike):
     """The same ones, filmed by cameras that differ."""
-    config = CollectConfig(demos=1, validation=1, data_dir=str(alike.path.parent), **OPTICS)
+    config = with_stair(
+        CollectConfig(demos=1, validation=1, data_dir=str(alike.path.parent), **OPTICS)
+    )
     header = new_header(config, alike.task, alike.world)
     path = dataset_path(config)
     with DemoWriter(path, header) as writer:
@@ -113,7 +121,7 @@ def test_a_changed_lens_breaks_the_seal(varied, tmp_path):
 
 
 def test_the_task_s_field_of_view_is_not_varied():
-    config = CollectConfig(demos=2, validation=1, fovy="45")
+    config = with_stair(CollectConfig(demos=2, validation=1, fovy="45"))
     task = make_task("lift")
     header = new_header(config, task, task.scene("fixed"))
     assert np.allclose(header.intrinsics(96, 128), intrinsics(45.0, 96, 128), rtol=1e-14)
