@@ -9,6 +9,7 @@ import contextlib
 import os
 import signal
 import sys
+import threading
 from collections.abc import Iterator
 from types import FrameType
 
@@ -122,3 +123,21 @@ def check_stop() -> None:
     """
     if _innermost and (interrupt := _innermost[-1]):
         raise Stopped(interrupt.exit_code)
+
+
+def serve_parent() -> None:
+    """Has this process, a worker of a pool, leave Ctrl-C to its parent, and end when that ends.
+
+    A pool's workers hold both ends of the queue that they read, so they wait for ever where their
+    parent was killed.
+    """
+    import multiprocessing  # a worker has it already; every command would wait for it
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if (parent := multiprocessing.parent_process()) is not None:
+
+        def follow() -> None:
+            parent.join()
+            os._exit(1)
+
+        threading.Thread(target=follow, daemon=True).start()

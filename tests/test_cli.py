@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import av
+import numpy as np
 import pytest
 from conftest import TINY
 
@@ -211,19 +212,30 @@ def test_a_run_folder_of_other_settings_is_refused(run, where, change):
     assert (folder / "config.json").read_text() == before
 
 
-def test_evaluate_another_split(run):
+@pytest.mark.parametrize(
+    ("split", "pairs"),
+    [
+        ("validation", "3 validation pairs"),
+        ("train", "3 new starts seen by training's cameras (memory, no result)"),
+    ],
+)
+def test_evaluate_another_split(run, demos, split, pairs):
     folder, _ = run
     before = (folder / "eval" / "rows.jsonl").read_text()
-    done = call("evaluate", folder, split="validation", pairs=3, width=2, videos=2)
+    plots = {p: p.read_bytes() for p in (folder / "plots").iterdir()}
+    done = call("evaluate", folder, split=split, pairs=3, width=2, videos=2)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert f"success on 3 validation pairs at step {STEPS}" in done.stdout
+    assert f"success on {pairs} at step {STEPS}" in done.stdout
     after = (folder / "eval" / "rows.jsonl").read_text()
     assert after.startswith(before)
     new = [json.loads(line) for line in after[len(before) :].splitlines()]
-    assert [(r["pair"], r["split"], r["width"]) for r in new] == [
-        (i, "validation", 2) for i in range(3)
-    ]
-    assert (folder / "videos" / f"validation-{STEPS:06d}.mp4").exists()
+    assert [(r["pair"], r["split"], r["width"]) for r in new] == [(i, split, 2) for i in range(3)]
+    assert (folder / "videos" / f"{split}-{STEPS:06d}.mp4").exists()
+    if split == "train":
+        cameras = demos.header.world_from_camera  # the first ones are those of training
+        np.testing.assert_allclose([row["camera"][0] for row in new], cameras[:3], atol=1e-9)
+        assert {p: p.read_bytes() for p in (folder / "plots").iterdir()} == plots
+        assert "On cameras that training saw" in (folder / "report.html").read_text()
 
 
 def test_a_data_dir_that_cannot_be_made(tmp_path):

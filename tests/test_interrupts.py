@@ -6,6 +6,7 @@ import subprocess
 import sys
 import textwrap
 import threading
+import time
 
 import pytest
 from places import REPO
@@ -121,3 +122,29 @@ def test_signal_handlers_need_the_main_thread():
     thread.start()
     thread.join()
     assert caught
+
+
+POOL = """
+import multiprocessing, os, time
+from concurrent.futures import ProcessPoolExecutor
+from jaxcam.interrupts import serve_parent
+
+if __name__ == "__main__":
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), serve_parent) as pool:
+        print(pool.submit(os.getpid).result(), flush=True)
+        time.sleep(60)
+"""
+
+
+def test_a_worker_does_not_outlive_a_parent_that_is_killed(tmp_path):
+    (script := tmp_path / "pool.py").write_text(POOL)
+    parent = subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    worker = int(parent.stdout.readline())
+    os.kill(worker, signal.SIGINT)
+    parent.kill()
+    parent.wait()
+    until = time.monotonic() + 20
+    while os.path.exists(f"/proc/{worker}/stat") and time.monotonic() < until:
+        time.sleep(0.05)
+    assert not os.path.exists(f"/proc/{worker}/stat")

@@ -14,6 +14,7 @@ from jaxcam.config.names import (
     ActionSpace,
     Cluster,
     EngineChoice,
+    EvaluationSplit,
     ProtocolName,
     Rotations,
     SceneName,
@@ -44,8 +45,10 @@ class EvaluateConfig:
     """Checkpoint to evaluate."""
     pairs: int = 50
     """(Initial state, camera pose) pairs."""
-    split: Split = "test"
-    """Which pairs: those kept for results, or those for choosing settings."""
+    split: EvaluationSplit = "test"
+    """Which pairs: test is kept for results, validation is for choosing settings; train is new
+    initial states on cameras that training saw, which tells memory from generalisation and is no
+    result."""
     width: int = 50
     """Rollouts simulated at once; rows of different widths are not mixed."""
     engine: EngineChoice = "auto"
@@ -107,6 +110,11 @@ class EvaluateConfig:
         if self.protocol == "paper" and (self.step is not None or self.pairs != 50):
             raise ConfigError("protocol paper has its own checkpoints and 50 pairs: leave out "
                               "--step and --pairs.")  # fmt: skip
+        if self.protocol == "paper" and self.split == "train":
+            raise ConfigError(
+                "protocol paper gives results, and those are on cameras that training did not see: "
+                "leave out --protocol, or --split train."
+            )
 
     def conditions(self, usual: Conditions) -> list[Conditions]:
         """All conditions that are asked for, one after the other.
@@ -128,6 +136,9 @@ class EvaluateConfig:
                 "protocol paper judges the last 10 checkpoints of a run, and --policy is one "
                 "policy: leave out --protocol."
             )
+        if self.split == "train":
+            raise ConfigError("--split train is for runs: nobody says which cameras another policy "
+                              "was trained on.")  # fmt: skip
         for name in ("step", "ensemble", "distributed"):
             if getattr(self, name) != getattr(EvaluateConfig, name):
                 raise ConfigError(f"--{name} is for runs, not for --policy.")

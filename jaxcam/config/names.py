@@ -33,6 +33,9 @@ Precision = Literal["float32", "bfloat16"]
 LoggerName = Literal["tensorboard", "wandb"]
 Stem = Literal["keep", "new"]
 Split = Literal["test", "validation"]
+"""Held-out pairs: those that results are on, and those that settings are chosen on."""
+EvaluationSplit = Literal[Split, "train"]
+"""What a run can be evaluated on: also on new starts and the cameras that training saw."""
 ProtocolName = Literal["one", "paper"]
 Cluster = Literal["none", "slurm", "local"]
 EngineName = Literal["native", "mjx-jax", "mjx-warp", "sapien", "sapien-gpu"]

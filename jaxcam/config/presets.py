@@ -106,6 +106,12 @@ PRESETS: dict[tuple[PolicyName, PresetName], Preset] = {
         beta2=0.95, schedule="cosine_from_start", warmup=1000, final_lr=2.5e-6, crop_min=1.0,
         log_every=200, eval_every=3000, save_every=3000,
     ),
+    ("smolvla", "laptop"): Preset(
+        conditioning="keypoints", precision="float32", resolution=84,
+        steps=4000, batch=64, lr=1e-3, weight_decay=1e-4,
+        schedule="cosine", warmup=200, crop_min=0.8, ema=0.995, ema_power=0.75,
+        log_every=50, eval_every=500, save_every=500,
+    ),
     # For tests: the paper's form, small enough for a CPU, without a tokenizer.
     ("smolvla", "tiny"): Preset(
         conditioning="late", precision="float32", resolution=64,

@@ -16,11 +16,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxcam.config.fields import as_record, from_json
-from jaxcam.data.splits import SPLITS
+from jaxcam.config.train import TrainConfig
+from jaxcam.data.demos import read_demos
+from jaxcam.data.splits import SEEN_EPISODES, SPLITS, TRAIN_CAMERAS
 from jaxcam.errors import ConfigError, DatasetError
-from jaxcam.files.paths import read_text
+from jaxcam.files.paths import absolute, read_text
 from jaxcam.files.whole import write_atomically
-from jaxcam.rays import sample_poses
+from jaxcam.rays import sample_poses, stair_cameras
+from jaxcam.results.rows import SEEN
+from jaxcam.sim import make_task
 from jaxcam.sim.task import Task, starts
 from jaxcam.sim.types import Start
 from jaxcam.sim.world import World
@@ -46,20 +50,61 @@ class Pairs(NamedTuple):
         ]  # fmt: skip
 
 
-def make_pairs(task: Task, scene: World, views: int, split: str, numbers: Sequence[int]) -> Pairs:
+def make_pairs(
+    task: Task,
+    scene: World,
+    views: int,
+    split: str,
+    numbers: Sequence[int],
+    seen: np.ndarray | None = None,
+) -> Pairs:
     """The pairs of these numbers; pair p has the camera poses V p to V p + V - 1.
 
     Args:
         task: What starts.
         scene: Where.
         views: Cameras of a pair.
-        split: `test` or `validation`.
+        split: `test` or `validation`; or `train`, whose starts are new and whose cameras are not.
         numbers: Of the pairs.
+        seen: The cameras of `train` [C, 4, 4], from `cameras_seen`; after the last comes the first.
     """
+    if split == SEEN:
+        assert seen is not None, "pairs of train have cameras that training saw"
+        rows = views * np.array(numbers)[:, None] + np.arange(views)
+        seeds = [SEEN_EPISODES + number for number in numbers]
+        return Pairs(seeds, seen[rows % len(seen)], starts(task, scene, seeds))
     poses = sample_poses(task.cameras, views * (max(numbers) + 1), SPLITS[split].cameras)
     seeds = [SPLITS[split].episodes + number for number in numbers]
     cameras = poses.reshape(-1, views, 4, 4)[list(numbers)]
     return Pairs(seeds, cameras, starts(task, scene, seeds))
+
+
+def cameras_seen(config: TrainConfig, fingerprint: str | None = None) -> np.ndarray:
+    """The cameras that a run's demonstrations are seen from, validation left out.
+
+    Args:
+        config: Resolved settings of the run.
+        fingerprint: Of the demonstrations that it was trained on, if that is known.
+
+    Returns:
+        World-from-camera matrices [C, 4, 4], OpenCV axes.
+
+    Raises:
+        DatasetError: They are in a file, and it is gone, damaged or another one.
+    """
+    if not config.dataset:
+        ranges = make_task(config.task).cameras
+        count = stair_cameras(config.demos, config.n, config.m)
+        return np.asarray(sample_poses(ranges, count, TRAIN_CAMERAS))
+    demos = read_demos(absolute(config.dataset), task=config.task, scene=config.scene)
+    if fingerprint not in (None, demos.fingerprint):
+        raise DatasetError(
+            f"{config.dataset} is not what the run was trained on: its fingerprint is "
+            f"{demos.fingerprint}, expected {fingerprint}. Its cameras are others; put the file "
+            "back."
+        )
+    rows = np.unique(np.concatenate([demo.cameras for demo in demos.train]))
+    return np.asarray(demos.header.world_from_camera)[rows]
 
 
 @dataclass(frozen=True)

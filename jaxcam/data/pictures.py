@@ -9,7 +9,6 @@ that a run will look at are held against their checksums first, and drawn again 
 import functools
 import multiprocessing
 import os
-import signal
 from collections import deque
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -28,6 +27,7 @@ from jaxcam.data.header import Header
 from jaxcam.data.samples import Layout
 from jaxcam.errors import SimError
 from jaxcam.files.locks import exclusive
+from jaxcam.interrupts import serve_parent
 from jaxcam.sim import make_painter, make_task, painter_of
 from jaxcam.sim.lenses import SCALE
 from jaxcam.sim.painter import Painter
@@ -160,8 +160,7 @@ def draw_views(
     with ProcessPoolExecutor(
         workers,
         multiprocessing.get_context("spawn"),
-        initializer=signal.signal,
-        initargs=(signal.SIGINT, signal.SIG_IGN),  # Ctrl-C is this process's to answer
+        initializer=serve_parent,
     ) as pool:
         work = deque[Future[np.ndarray]]()
         try:

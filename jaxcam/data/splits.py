@@ -22,6 +22,8 @@ SPLITS: dict[str, PairSeeds] = {
 }
 """The sets of held-out pairs (`jaxcam.data.pairs`): results are on `test`, settings are chosen on
 `validation`."""
+SEEN_EPISODES = 3_000_000
+"""Episode seed of the first pair of a new start and cameras that training saw."""
 FIRST_SEED = 42
 """First episode seed of the demonstrations (authors' generators)."""
 SEED_STRIDE, SEEDS = 10_000_000, 900_000

@@ -31,7 +31,7 @@ class Wanted:
     """What is asked of an evaluation.
 
     Attributes:
-        split: Which pairs: "test" or "validation".
+        split: Which pairs: "test", "validation" or "train".
         pairs: How many, from number 0.
         videos: Rollouts shown in a video; only those that are run now can be.
     """

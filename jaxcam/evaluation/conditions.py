@@ -17,7 +17,7 @@ from jaxcam.config.conditions import Conditions, degrees_and_cm
 from jaxcam.config.names import RaysFrom
 from jaxcam.data.header import optics_ranges
 from jaxcam.data.pairs import Pairs
-from jaxcam.data.splits import SPLITS
+from jaxcam.data.splits import SPLITS, TRAIN_CAMERAS
 from jaxcam.rays import invert, perturb
 from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.rays.optics import at_size, sample_optics
@@ -66,7 +66,7 @@ class ConditionedPairs:
 
         Args:
             pairs: Which.
-            split: `test` or `validation`.
+            split: `test`, `validation` or `train`.
             numbers: Of the pairs.
             size: Height and width of the pictures.
         """
@@ -74,7 +74,7 @@ class ConditionedPairs:
         usual = np.broadcast_to(intrinsics(self.task.fovy_deg, *size), (count, views, 3, 3))
         K, lens, fovy = usual, None, None
         if ranges := optics_ranges(self.conditions, self.task.fovy_deg):
-            drawn = sample_optics(ranges, views * (max(numbers) + 1), SPLITS[split].cameras)
+            drawn = sample_optics(ranges, views * (max(numbers) + 1), _seed(split))
             rows = views * np.array(numbers)[:, None] + np.arange(views)
             K = at_size(drawn[0], *size)[rows]
             lens = None if drawn[1] is None else drawn[1][rows]
@@ -108,9 +108,14 @@ class ConditionedPairs:
         return np.concatenate([way[..., 0, :] * np.deg2rad(degrees), way[..., 1, :] * cm / 100], -1)
 
 
+def _seed(split: str) -> int:
+    """Seed of the cameras of a split; those of `train` are the demonstrations'."""
+    return SPLITS[split].cameras if split in SPLITS else TRAIN_CAMERAS
+
+
 def _keys(split: str, numbers: Sequence[int], views: int, what: int) -> jax.Array:
     """Random keys [B, V] of the views of pairs."""
-    root = jax.random.fold_in(jax.random.key(SPLITS[split].cameras), what)
+    root = jax.random.fold_in(jax.random.key(_seed(split)), what)
     of_pair = jax.vmap(lambda number: jax.random.fold_in(root, number))(jnp.array(numbers))
     each = jnp.arange(views)
     return jax.vmap(lambda key: jax.vmap(lambda v: jax.random.fold_in(key, v))(each))(of_pair)

@@ -187,6 +187,7 @@ class Evaluator:
         engine: That simulates them; `config.engine` when None.
         ensemble: Rate of temporal ensembling, 0 is off; `config.ensemble` when None.
         conditions: Under which the pairs are run.
+        seen: Cameras that training saw [C, 4, 4], which the pairs of `train` need.
     """
 
     def __init__(
@@ -196,8 +197,9 @@ class Evaluator:
         engine: str | None = None,
         ensemble: float | None = None,
         conditions: Conditions | None = None,
+        seen: np.ndarray | None = None,
     ) -> None:
-        self.config, self.width = config, width
+        self.config, self.width, self.seen = config, width, seen
         self.ensemble = config.ensemble if ensemble is None else ensemble
         self.task = make_task(config.task)
         self.task.require()
@@ -223,7 +225,7 @@ class Evaluator:
 
         Args:
             candidate: Who acts.
-            split: Which pairs: `test` or `validation`.
+            split: Which pairs: `test`, `validation` or `train`.
             pairs: Their numbers.
             tick: Called after every control step.
 
@@ -332,7 +334,7 @@ class Evaluator:
 
     def pairs(self, split: str, numbers: Sequence[int]) -> Pairs:
         """The pairs of these numbers."""
-        return make_pairs(self.task, self.scene, self.config.views, split, numbers)
+        return make_pairs(self.task, self.scene, self.config.views, split, numbers, self.seen)
 
 
 @dataclass(frozen=True)

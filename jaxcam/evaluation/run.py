@@ -13,6 +13,7 @@ from rich.console import Console
 from jaxcam.config.commands import EvaluateConfig
 from jaxcam.config.conditions import Conditions
 from jaxcam.config.train import TrainConfig
+from jaxcam.data.pairs import cameras_seen
 from jaxcam.devices import gathered, is_first, joined
 from jaxcam.errors import CheckpointError, ConfigError, JaxcamError
 from jaxcam.evaluation.checkpoint import Wanted, evaluate, rows_of
@@ -22,8 +23,10 @@ from jaxcam.files.paths import absolute
 from jaxcam.reports.run_figures import write_plots
 from jaxcam.reports.run_page import write_report
 from jaxcam.results.protocol import missing, protocol_of
+from jaxcam.results.rows import SEEN
 from jaxcam.results.stats import latest_rows, success_rate
 from jaxcam.runs.identity import RECORDED, read_config
+from jaxcam.runs.manifests import sides
 from jaxcam.runs.metrics import read_metrics
 from jaxcam.runs.rollouts import as_usual, read_run_rows
 from jaxcam.training.checkpoint import checkpoint_steps, load_policy_inputs, rebuild_policy
@@ -50,10 +53,14 @@ def evaluate_run(config: EvaluateConfig, folder: Path, console: Console | None) 
     if config.protocol == "paper":
         steps, lacking = steps_to_judge(folder, inputs.config)
     policy = rebuild_policy(inputs)
+    cameras = None
+    if config.split == SEEN:
+        data = next((str(side["data"]) for side in sides(folder).values()), None)
+        cameras = cameras_seen(inputs.config, data)
     wanted = Wanted(config.split, config.pairs)
     for conditions in config.conditions(inputs.config.conditions):
         evaluator = Evaluator(
-            inputs.config, config.width, config.engine, config.ensemble, conditions
+            inputs.config, config.width, config.engine, config.ensemble, conditions, cameras
         )
         rows = read_run_rows(folder)
         open_steps = [
@@ -88,15 +95,19 @@ def _conclude(
         for r in latest_rows(read_run_rows(folder))
         if r.step in steps and r.split == config.split and r.pair < config.pairs
     ]
-    write_plots(folder / "plots", read_metrics(folder), as_usual(all_rows, read_config(folder)))
+    if config.split != SEEN:  # the plots are of held-out cameras
+        usual = as_usual(all_rows, read_config(folder))
+        write_plots(folder / "plots", read_metrics(folder), usual)
     report = write_report(folder)
     rows = [row for row in all_rows if row.conditions == tuple(conditions.said.values())]
     if console:
         what = f"{len(steps)} checkpoints" if len(steps) > 1 else f"step {steps[0]}"
         words = f"{what}, {conditions.words}" if conditions.words else what
+        pairs = f"{config.split} pairs"
+        if config.split == SEEN:
+            pairs = "new starts seen by training's cameras (memory, no result)"
         console.print(
-            f"{folder.name}: success on {config.pairs} {config.split} pairs at {words}: "
-            f"{success_rate(rows)}",
+            f"{folder.name}: success on {config.pairs} {pairs} at {words}: {success_rate(rows)}",
             soft_wrap=True,
             markup=False,
         )

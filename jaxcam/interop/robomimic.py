@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
@@ -40,18 +40,40 @@ from jaxcam.interop.robosuite_commands import (
     disagreement,
     read_controller,
 )
-from jaxcam.interop.robosuite_model import Origin, grip_path, read_origin
+from jaxcam.interop.robosuite_model import ObjectNames, Origin, grip_path, read_origin
 from jaxcam.interop.robosuite_witness import FINGERS_STRAY, Witness, closedness
 from jaxcam.rays.rotations import rotvec_from_matrix
 from jaxcam.sim import make_engine, make_task
 from jaxcam.sim.controllers import CONTROL_HZ
 from jaxcam.sim.engine import Engine
-from jaxcam.sim.mujoco.scene import Scene
+from jaxcam.sim.mujoco.scene import FIXTURES, Scene
 from jaxcam.sim.task import Task
 from jaxcam.sim.types import Start
 
-ENVIRONMENTS: dict[str, TaskName] = {"Lift": "lift", "LiftRand": "lift"}
-"""Our task of each of robosuite's environments that can be replayed."""
+_SHEETS = {0: "plane", 1: "floor_plane"}
+"""What the authors show of table and room: sheets that are moved in every episode."""
+
+
+class Environment(NamedTuple):
+    """One of robosuite's environments that can be replayed."""
+
+    task: TaskName
+    """Ours."""
+    names: ObjectNames = ObjectNames()
+    """What it calls things."""
+
+
+ENVIRONMENTS = {
+    "Lift": Environment("lift"),
+    "LiftRand": Environment("lift", ObjectNames(seen=_SHEETS)),
+    "CanRand": Environment(
+        "pick_place_can", ObjectNames({"can": "Can"}, {**_SHEETS, 2: "VisualCan"})
+    ),
+    "SquareRand": Environment(
+        "square", ObjectNames({"nut": "Square", "peg": "Peg"}, {**_SHEETS, 0: "table_plane"})
+    ),
+}
+"""By robosuite's names; those that end in Rand are the paper's authors'."""
 OTHERS = {
     "PickPlaceCan": "its can goes from one bin into another; ours stands on a plain table and goes "
     "to a ghost",
@@ -82,6 +104,8 @@ class DemonstrationFile:
     """Demonstrations that the file has."""
     about: str
     """Where the demonstrations come from, for the header."""
+    names: ObjectNames
+    """What its world calls things."""
 
     def demo(self, name: str, task: Task, engine: Engine, seed: int) -> Demo:
         """One demonstration, without cameras; names file and demonstration in errors."""
@@ -99,7 +123,8 @@ class DemonstrationFile:
                 states = numbers(group, "states")
                 actions = numbers(group, "actions") if "actions" in group else None
                 xml = text(group, "model_file")
-            return _convert(states, actions, xml, self.controller, task, engine, seed)
+            recorded = _Recorded(states, actions, xml, self.names)
+            return _convert(recorded, self.controller, task, engine, seed)
         except DatasetError as error:
             if str(error).startswith(f"{self.path}: "):
                 raise
@@ -158,7 +183,8 @@ def task_of(path: Path) -> TaskName:
     """
     with open_hdf5(path, remedy=REMEDY) as file, reading(path, REMEDY):
         name, _ = _environment(path, file)
-    return ENVIRONMENTS.get(name, RobomimicConfig.task)
+    known = ENVIRONMENTS.get(name)
+    return known.task if known else RobomimicConfig.task
 
 
 @contextlib.contextmanager
@@ -203,7 +229,8 @@ def _read_source(path: Path, file: h5py.File, config: RobomimicConfig) -> Demons
     train, valid = Masks.of(path, file, everything).split(config.filter_key, config.validation)
     about = f"{path.name}: {name} of robosuite {version}, {config.actions}"
     _check_sizes(path, file, train + valid)
-    return DemonstrationFile(path, file, controller, train, valid, len(everything), about)
+    names = ENVIRONMENTS[name].names
+    return DemonstrationFile(path, file, controller, train, valid, len(everything), about, names)
 
 
 def _check_sizes(path: Path, file: h5py.File, demos: list[str]) -> None:
@@ -215,11 +242,12 @@ def _check_sizes(path: Path, file: h5py.File, demos: list[str]) -> None:
 
 
 def _check_environment(path: Path, name: str, settings: dict[str, Any], task: str) -> None:
-    if ENVIRONMENTS.get(name) != task:
+    known = ENVIRONMENTS.get(name)
+    if known is None or known.task != task:
         if reason := OTHERS.get(name):
             raise DatasetError(f"{path}: {name} cannot be replayed in our tasks: {reason}.")
-        if name in ENVIRONMENTS:
-            fix = f"Import it with --task {ENVIRONMENTS[name]}."
+        if known:
+            fix = f"Import it with --task {known.task}."
         else:
             fix = f"Environments that can be imported: {', '.join(ENVIRONMENTS)}."
         raise DatasetError(f"{path}: demonstrations of {name}, but task {task!r} was asked. {fix}")
@@ -237,24 +265,29 @@ def _numbered(file: h5py.File) -> list[str]:
     return sorted(numbered, key=lambda name: int(name.removeprefix("demo_")))
 
 
+class _Recorded(NamedTuple):
+    """An episode as the file has it."""
+
+    states: np.ndarray
+    actions: np.ndarray | None
+    xml: str
+    names: ObjectNames
+
+
 def _convert(
-    states: np.ndarray,
-    actions: np.ndarray | None,
-    xml: str,
-    controller: Controller | None,
-    task: Task,
-    engine: Engine,
-    seed: int,
+    recorded: _Recorded, controller: Controller | None, task: Task, engine: Engine, seed: int
 ) -> Demo:
     """A recorded episode in our scene: T states give T - 1 control steps."""
+    states, actions, xml, names = recorded
     if states.ndim != 2 or len(states) < 2 or not np.isfinite(states).all():
         raise DatasetError(f"states {states.shape}: two or more rows of finite numbers are needed.")
-    if actions is not None and actions.shape != (len(states), 7):
+    sizes = (7,) if controller else (7, 8)  # of joints only the gripper's command is of use
+    if actions is not None and actions.shape not in [(len(states), size) for size in sizes]:
         raise DatasetError(f"actions {actions.shape}, expected {(len(states), 7)}: one per state.")
     if actions is not None and not np.isfinite(actions).all():
         raise DatasetError("actions that are not finite numbers.")
     scene: Scene = engine.scene
-    origin = read_origin(xml, states[0], scene, task.varied)
+    origin = read_origin(xml, states[0], scene, task.varied, names)
     qpos, qvel = origin.carry(states)
     path = grip_path(scene, qpos)
     witness = Witness(engine, qpos, qvel, path, origin.geom_size)
@@ -263,8 +296,10 @@ def _convert(
         targets, signs = _commanded(controller, actions, origin, witness)
     else:
         targets, signs = _followed(actions, witness)
+    usual = task.start(scene, seed).fixtures
+    moved = range(0 if scene.name == "randomized" else len(FIXTURES), len(usual))
     return Demo.record(
-        Start(qpos[0], origin.geom_size, task.start(scene, seed).fixtures),
+        Start(qpos[0], origin.geom_size, origin.fixtures(states[0], usual, moved)),
         seed=seed,
         qpos=qpos,
         qvel=qvel,
@@ -296,7 +331,7 @@ def _followed(actions: np.ndarray | None, witness: Witness) -> tuple[np.ndarray,
     ahead = np.minimum(np.arange(last) + LEAD, last)
     targets = np.concatenate([path.position, rotvec_from_matrix(path.rotation)], -1)[ahead]
     if actions is not None:
-        signs = np.sign(actions[:-1, 6])
+        signs = np.sign(actions[:-1, -1])
         if witness.missed(targets, signs).fingers <= FINGERS_STRAY:
             return targets, signs
     opening = np.abs(witness.qpos[:, witness.engine.scene.fingers]).sum(-1)

@@ -6,7 +6,7 @@ names and the pose of the robot's base. The model is text that anybody may have 
 bodies, joints and shapes are read, and MuJoCo opens no file for it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 from xml.etree import ElementTree
@@ -36,6 +36,26 @@ _OF_FILES = (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mj
 
 
 @dataclass(frozen=True)
+class ObjectNames:
+    """What a recorded world calls what a scene of ours has.
+
+    Attributes:
+        moved: Their names of our objects, where these are others.
+        seen: Their names of what is seen and never touched, by our row of `fixtures`: 0 is the
+            table, 1 the room, then come the task's markers. Where a recording moves them, each
+            hangs on a free joint that ours does not have.
+    """
+
+    moved: Mapping[str, str] = field(default_factory=dict)
+    seen: Mapping[int, str] = field(default_factory=dict)
+
+    def joint(self, ours: str) -> str:
+        """Their name of a joint of ours."""
+        body = ours.removesuffix("_joint0")
+        return f"{self.moved[body]}_joint0" if body in self.moved else ours
+
+
+@dataclass(frozen=True)
 class Origin:
     """The model that a demonstration was recorded with, mapped onto a scene."""
 
@@ -50,6 +70,29 @@ class Origin:
     _qpos: np.ndarray = field(repr=False)
     _qvel: np.ndarray = field(repr=False)
     _free: np.ndarray = field(repr=False)
+    _seen: Mapping[int, int] = field(repr=False)
+
+    def fixtures(self, state: np.ndarray, usual: np.ndarray, rows: Sequence[int]) -> np.ndarray:
+        """Poses (xyz, wxyz) [k, 7] of what is seen, as far as a recorded state has them.
+
+        Args:
+            state: The first one.
+            usual: Poses to begin with. They keep their heights: a recorded sheet lies on a table,
+                and a recorded ghost hangs in the air.
+            rows: Those that may be moved and turned about the vertical.
+        """
+        poses = usual.copy()
+        for row in rows:
+            if (at := self._seen.get(row)) is None:
+                continue
+            pose = state[1 + at : 1 + at + 7]
+            rotation = self.world_from_theirs[:3, :3]
+            place = rotation @ pose[:3] + self.world_from_theirs[:3, 3]
+            ahead = (rotation @ matrix_from_quaternion(pose[3:]))[:, 0]
+            half = np.arctan2(ahead[1], ahead[0]) / 2
+            poses[row, :2] = place[:2]
+            poses[row, 3:] = np.cos(half), 0, 0, np.sin(half)
+        return poses
 
     def carry(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The scene's qpos [T, nq] and qvel [T, nv] of recorded states [T, 1 + nq + nv]."""
@@ -64,7 +107,13 @@ class Origin:
         return qpos, qvel
 
 
-def read_origin(xml: str, state: np.ndarray, scene: Scene, varied: Sequence[str]) -> Origin:
+def read_origin(
+    xml: str,
+    state: np.ndarray,
+    scene: Scene,
+    varied: Sequence[str],
+    names: ObjectNames | None = None,
+) -> Origin:
     """Maps a demonstration's own model onto a scene.
 
     Args:
@@ -72,11 +121,12 @@ def read_origin(xml: str, state: np.ndarray, scene: Scene, varied: Sequence[str]
         state: One of its states, to hold both models against each other.
         scene: Where it shall be replayed.
         varied: Geoms of the scene whose sizes come from the model.
+        names: What the recorded world calls things; as ours when None.
 
     Raises:
         DatasetError: If the model is not one of this scene's robot, joints and table.
     """
-    model = _kinematics_of(xml)
+    model, names = _kinematics_of(xml), names or ObjectNames()
     size = 1 + model.nq + model.nv
     if len(state) != size:
         raise DatasetError(
@@ -92,18 +142,19 @@ def read_origin(xml: str, state: np.ndarray, scene: Scene, varied: Sequence[str]
     frame = theirs_from_base
     if (site := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "robot0_right_center")) >= 0:
         frame = _pose(data.site_xpos[site], data.site_xmat[site])
-    joints = _match_joints(model, scene.physics)
+    joints, seen = _match_joints(model, scene.physics, names)
     origin = Origin(
         nq=model.nq,
         nv=model.nv,
         world_from_theirs=world_from_theirs,
         theirs_from_controller=frame,
-        geom_size=np.array([model.geom_size[_named(model, "geom", g)] for g in varied]),
+        geom_size=np.reshape([model.geom_size[_named(model, "geom", g)] for g in varied], (-1, 3)),
         _qpos=_addresses(joints, "qposadr"),
         _qvel=_addresses(joints, "dofadr"),
         _free=np.array(
             [(ours.qposadr[0], ours.dofadr[0]) for ours, _ in joints if len(ours.qpos0) == 7], int
         ).reshape(-1, 2),
+        _seen=seen,
     )
     _check_table(model, data, world_from_theirs)
     _check_grip(model, data, scene, origin, state)
@@ -188,18 +239,27 @@ def _named(model: mujoco.MjModel, kind: str, name: str) -> int:
     )
 
 
-def _match_joints(theirs: mujoco.MjModel, ours: mujoco.MjModel) -> list[tuple[Any, Any]]:
-    """Each joint of ours with theirs of the same name."""
+def _match_joints(
+    theirs: mujoco.MjModel, ours: mujoco.MjModel, names: ObjectNames
+) -> tuple[list[tuple[Any, Any]], dict[int, int]]:
+    """Each joint of ours with theirs, and where in their qpos is what is only seen, by its row."""
     pairs = [
-        (ours.joint(i), theirs.joint(_named(theirs, "joint", ours.joint(i).name)))
+        (ours.joint(i), theirs.joint(_named(theirs, "joint", names.joint(ours.joint(i).name))))
         for i in range(ours.njnt)
     ]
-    if len(pairs) != theirs.njnt or any(a.type[0] != b.type[0] for a, b in pairs):
+    known = {theirs.joint(i).name: theirs.joint(i) for i in range(theirs.njnt)}
+    seen = {
+        row: int(joint.qposadr[0])
+        for row, name in names.seen.items()
+        if (joint := known.get(f"{name}_joint0")) is not None
+        and joint.type[0] == mujoco.mjtJoint.mjJNT_FREE
+    }
+    if len(pairs) + len(seen) != theirs.njnt or any(a.type[0] != b.type[0] for a, b in pairs):
         raise DatasetError(
             f"joints {[theirs.joint(i).name for i in range(theirs.njnt)]}, but the scene has "
             f"{[a.name for a, _ in pairs]}. It is another task's or another robot's."
         )
-    return pairs
+    return pairs, seen
 
 
 def _addresses(joints: list[tuple[Any, Any]], kind: str) -> np.ndarray:

@@ -66,6 +66,11 @@ def policy_settings(config: TrainConfig, prompts: Sequence[str]) -> Any:
         ConfigError: A change that `config.model` asks for is unknown or cannot work.
     """
     family = FAMILIES[config.policy]
+    if config.conditioning != "none" and "twin_of" in overrides(config.model):
+        raise ConfigError(
+            f"model: twin_of is for --conditioning none, not {config.conditioning}: it says whose "
+            "network is fed with one fixed pose."
+        )
     settings = family.conditioned(family.presets[config.preset], config.conditioning)
     settings = with_overrides(replace(settings, compute_dtype=config.precision), config.model)
     ahead = settings.chunk - settings.obs_steps + 1

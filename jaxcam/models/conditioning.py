@@ -77,6 +77,8 @@ def check_known(config: Any, **known: tuple[str, ...]) -> None:
 class VisionConfig(CameraConfig):
     """Settings of the image encoder and of the conditioning."""
 
+    encoders: ClassVar[tuple[str, ...]] = ("resnet18", "small")
+    """Image encoders that this kind of policy may have."""
     encoder: str = "resnet18"
     """Image encoder: resnet18 (stride 32) or small (stride 4, cheap on a CPU)."""
     norm: str = "identity"
@@ -112,7 +114,7 @@ class VisionConfig(CameraConfig):
         check_least(self, 0, "heat_gain")
         check_known(
             self,
-            encoder=("resnet18", "small"),
+            encoder=self.encoders,
             norm=NORMS,
             image_scaling=("imagenet", "symmetric", "unit"),
             pool=("grid", "keypoints", "softmax"),

@@ -17,7 +17,7 @@ from jaxcam.errors import ConfigError
 from jaxcam.files.paths import absolute
 from jaxcam.files.whole import check_free, write_atomically
 from jaxcam.reports import paper
-from jaxcam.reports.arms import Arm, Run, group
+from jaxcam.reports.arms import Arm, Run, context, group
 from jaxcam.reports.axes.fovy import fovy_blocks
 from jaxcam.reports.axes.pose_errors import pose_error_blocks
 from jaxcam.reports.camera_figures import rate_by_camera
@@ -47,16 +47,18 @@ from jaxcam.reports.style import save
 from jaxcam.reports.tables import (
     by_task,
     cells,
-    context,
     foreign_table,
     gains_table,
     is_of_table,
     runs_table,
+    seen_table,
     table_one,
     to_csv,
     twins_of,
+    without_twins,
 )
 from jaxcam.results.protocol import protocol_of
+from jaxcam.results.rows import SEEN
 from jaxcam.runs.action_errors import read_errors
 from jaxcam.runs.identity import RECORDED
 
@@ -64,13 +66,17 @@ WRITTEN = ("report.md", "report.tex", "report.csv", "rows.jsonl", "runs.json", "
 """What is written beside the page."""
 
 
-def write_comparison(runs: Sequence[Run], out: Path, split: str = "test") -> Path:
+def write_comparison(
+    runs: Sequence[Run], out: Path, split: str = "test", seen: Sequence[Run] = ()
+) -> Path:
     """Write a report of many runs.
 
     Args:
         runs: From `read_runs`.
         out: Folder for report.html, report.md, report.tex, report.csv, figures/*.png, and the rows.
         split: Which pairs the rows are of.
+        seen: The same runs with their rows on cameras that training saw, which have a table of
+            their own.
 
     Returns:
         Path of the page.
@@ -78,15 +84,23 @@ def write_comparison(runs: Sequence[Run], out: Path, split: str = "test") -> Pat
     Raises:
         ConfigError: The folder has rows that would be lost.
     """
-    check_replaces(out, runs)
+    every = [*runs, *seen]
+    check_replaces(out, every)
     title = "Camera-conditioned policies: this code beside the paper"
     page = out / "report.html"
     if not page.exists():  # so that the folder is known as ours, whatever ends this
         begun = "The command that writes this report has not finished. Run it again."
         write_atomically(page, to_html(Document(title, begun, []), out))
     arms = [arm for arm in group(runs) if arm.estimate.n or arm.estimate.excluded]
-    blocks = [*_about(arms), *_main(arms, out), *_studies(arms, out)]
-    blocks += [*pose_error_blocks(arms, out), *fovy_blocks(arms, out), *_maps(arms, out)]
+    blocks = [
+        *_about(arms),
+        *_main(arms, out),
+        *_seen(arms, group(seen)),
+        *_studies(arms, out),
+        *pose_error_blocks(arms, out),
+        *fovy_blocks(arms, out),
+        *_maps(arms, out),
+    ]
     blocks += [*_recorded(runs), Heading("Runs"), runs_table(runs, _videos(runs, out))]
     pairs = "held-out pairs" if split == "test" else f"{split} pairs"
     subtitle = f"Success on {pairs} of an initial state and a camera pose."
@@ -94,7 +108,7 @@ def write_comparison(runs: Sequence[Run], out: Path, split: str = "test") -> Pat
     write_atomically(out / "report.md", to_markdown(document))
     write_atomically(out / "report.tex", to_latex(document))
     write_atomically(out / "report.csv", to_csv(arms))
-    write_results(out, runs)
+    write_results(out, every)
     write_atomically(page, to_html(document, out))
     return page
 
@@ -137,16 +151,24 @@ def _main(arms: Sequence[Arm], out: Path) -> list[Block]:
     blocks: list[Block] = [Heading("With and without the camera pose"), table_one(arms)]
     if table := gains_table(arms):
         blocks += [Heading("Paired differences"), table]
+    blocks += [Text(sentence, warns=True) for sentence in without_twins(arms)]
     if table := foreign_table(arms):
         blocks += [Heading("Policies of others"), table]
-    if twins := [some for some in twins_of(arms) if is_of_table(some[0])]:
+    twins = [(a, b.arm) for a, b in twins_of(arms) if b.is_twin and is_of_table(a)]
+    if twins:
         path = save(rates_and_gains(twins), out / "figures" / "gains.png")
         caption = (
-            "Grey: image only. Hollow points: fewer rollouts than the protocol asks for. Diamonds: "
-            "the paper. n: rollouts with and without the camera pose."
+            "Grey: the twin, image only. Hollow points: fewer rollouts than the protocol asks for. "
+            "Diamonds: the paper. n: rollouts with and without the camera pose."
         )
         blocks.append(Picture(_relative(path, out), caption))
     return blocks
+
+
+def _seen(arms: Sequence[Arm], seen: Sequence[Arm]) -> list[Block]:
+    """Success on cameras that training saw, beside that on held-out ones."""
+    table = seen_table(arms, seen)
+    return [Heading("Memory and generalisation"), table] if table else []
 
 
 def _studies(arms: Sequence[Arm], out: Path) -> list[Block]:
@@ -211,7 +233,7 @@ def _by_conditioning(arms: Sequence[Arm]) -> dict[str, list[Arm]]:
 def _caption(arm: Arm) -> str:
     s = arm.settings
     policy, task = paper.policy_title(s["policy"]), paper.task_title(s["task"])
-    return f"{policy} on {task}, {s['scene']} scene, {arm.label()}."
+    return f"{policy} on {task}, {s['scene']} scene, {arm.label('conditioning')}."
 
 
 def _videos(runs: Sequence[Run], out: Path) -> Mapping[str, list[Link]]:
@@ -260,7 +282,9 @@ def main(config: ReportConfig, console: Console) -> None:
         pack = write_pack(out, runs, config.split, about)
         written = f"Pack: {out} ({pack.manifest.digest[:8]})"
     else:
-        written = f"Report: {write_comparison(runs, out, config.split)}"
+        seen = read_runs(config.runs, SEEN) if config.split == "test" else []
+        seen = [run for run in seen if run.rows]
+        written = f"Report: {write_comparison(runs, out, config.split, seen)}"
     for arm in group(run for run in runs if run.rows or not config.pack):
         console.print(plain_line(_in_words(arm)), soft_wrap=True)
     console.print(written, soft_wrap=True)

@@ -94,3 +94,18 @@ def is_table_setting(settings: Mapping[str, Any]) -> bool:
         and (crop is None or crop < 1)
         and m != 0  # that is the figure on numbers of cameras
     )
+
+
+def table_cell(policy: str, task: str, conditioned: bool) -> str:
+    """A cell of Table I, with the gain over image only where it is conditioned; a dash for none.
+
+    Args:
+        policy: "act", "diffusion" or "smolvla".
+        task: Such as "lift".
+        conditioned: Whether the policy is told the camera pose.
+    """
+    value = success(policy, task, conditioned)
+    if value is None:
+        return "–"
+    image_only = success(policy, task, False) or 0.0
+    return f"{value:.1f}" + (f" ({value - image_only:+.1f})" if conditioned else "")

@@ -14,7 +14,7 @@ from jaxcam.reports.packs.folder import read_results, run_key
 from jaxcam.reports.packs.pack import Pack, is_pack, read_pack
 from jaxcam.reports.packs.records import NAMED
 from jaxcam.results.protocol import NOT_RECORDED, is_foreign
-from jaxcam.results.rows import CONDITIONS, USUAL_WAY, Row
+from jaxcam.results.rows import CONDITIONS, SEEN, USUAL_WAY, Row
 from jaxcam.results.stats import latest_rows
 from jaxcam.runs.foreign import has_foreign, read_foreign_record
 from jaxcam.runs.identity import Settings, identity, read_config
@@ -31,7 +31,7 @@ def read_runs(paths: Iterable[str | Path], split: str = "test") -> list[Run]:
 
     Args:
         paths: Run folders, results folders, or folders that hold such.
-        split: Which pairs: "test" or "validation".
+        split: Which pairs: "test", "validation" or "train".
 
     Raises:
         ConfigError: A folder has no run, two runs of the same settings and seed disagree, or a pair
@@ -261,7 +261,10 @@ def _check_pairs(runs: Iterable[Run]) -> None:
         for row in run.rows:
             if row.pair_sha is None:
                 continue
-            known, other = first.setdefault((*kind, row.split, row.pair), (row.pair_sha, run))
+            # Pairs on cameras that training saw are the same where these are.
+            seen = _cameras_of(run.settings) if row.split == SEEN else ()
+            of_kind = (*kind, *seen, row.split, row.pair)
+            known, other = first.setdefault(of_kind, (row.pair_sha, run))
             if known != row.pair_sha:
                 raise ConfigError(
                     f"{other.source} and {run.source} were evaluated on different pairs of the "
@@ -271,6 +274,11 @@ def _check_pairs(runs: Iterable[Run]) -> None:
                     "or robosuite, so they cannot be compared. Evaluate both with one version, or "
                     "leave one of them out."
                 )
+
+
+def _cameras_of(settings: Settings) -> tuple[Any, ...]:
+    """What the cameras of a run's demonstrations follow from."""
+    return tuple(settings.get(name) for name in ("demos", "n", "m", "dataset"))
 
 
 def _ways(rows: Iterable[Row]) -> Settings:

@@ -18,7 +18,7 @@ from jaxcam.reports import paper
 from jaxcam.reports.html import Embedded, embedded, own_files, render
 from jaxcam.reports.reading import training_seconds
 from jaxcam.results.actions import ActionErrors
-from jaxcam.results.rows import Row
+from jaxcam.results.rows import SEEN, Row
 from jaxcam.results.stats import Estimate, by_field, causes, latest_rows, success_rate
 from jaxcam.runs.action_errors import read_errors
 from jaxcam.runs.foreign import has_foreign, read_foreign_record
@@ -61,9 +61,10 @@ def write_report(run_dir: str | Path) -> Path:
     if not ((run / "config.json").is_file() or has_foreign(run)):
         raise ConfigError(f"{run} is not the folder of a run: it has no config.json.")
     # Rows of validation pairs serve to choose settings; they are no result.
-    rows = [row for row in latest_rows(read_run_rows(run)) if row.split == "test"]
     own = read_foreign_record(run) if has_foreign(run) else read_config(run)
-    rows = as_usual(rows, own)  # the others are for reports, which set them side by side
+    # Rows of other conditions are for reports, which set them side by side.
+    every = as_usual(latest_rows(read_run_rows(run)), own)
+    rows = [row for row in every if row.split == "test"]
     newest = max((row.step for row in rows), default=0)
     shown = [row for row in rows if row.step == newest]
     about = _about_foreign(run, shown) if has_foreign(run) else _about(run_dir, shown, newest)
@@ -80,7 +81,7 @@ def write_report(run_dir: str | Path) -> Path:
         environment=_environment(run / "env.txt"),
         title=about.title,
         subtitle=about.subtitle,
-        facts=about.facts,
+        facts=about.facts | _memory([row for row in every if row.split == SEEN]),
         commands=[[shlex.quote(word) for word in line] for line in about.commands],
         settings=about.settings,
     )
@@ -180,6 +181,15 @@ def _facts(
     if rows:
         facts["Evaluated checkpoint"] = f"step {step:,}"
     return facts | _lengths(rows)
+
+
+def _memory(rows: Sequence[Row]) -> dict[str, str]:
+    """Success on cameras that training saw, apart from that on held-out ones."""
+    newest = max((row.step for row in rows), default=0)
+    if not rows:
+        return {}
+    rate = success_rate([row for row in rows if row.step == newest])
+    return {"On cameras that training saw": f"{rate} at step {newest:,}: memory, no result"}
 
 
 def _pixels(resolution: int | str) -> str:

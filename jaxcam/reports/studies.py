@@ -7,8 +7,8 @@ from typing import Any
 
 from jaxcam.config.names import Conditioning, names_of
 from jaxcam.reports import paper
-from jaxcam.reports.arms import Arm
-from jaxcam.reports.tables import by_task, context, is_told_wrong
+from jaxcam.reports.arms import Arm, context
+from jaxcam.reports.tables import by_task
 from jaxcam.runs.identity import OF_CAMERAS
 
 
@@ -22,7 +22,6 @@ class Study:
         file: Name of its picture.
         names: Names of the setting's values in the order of the figure; other values follow.
         belongs: Whether an arm is of this figure, apart from that setting.
-        least: Values it takes to be a figure.
     """
 
     field: str
@@ -30,7 +29,6 @@ class Study:
     file: str
     names: Mapping[Any, str]
     belongs: Callable[[Arm], bool] = lambda arm: arm.settings.get("m") != 0
-    least: int = 2
 
 
 @dataclass(frozen=True)
@@ -39,7 +37,8 @@ class Panel:
 
     Attributes:
         title: Task, policy and what else is particular.
-        arms: By value of the setting, then by conditioning.
+        arms: By value of the setting, then by `Arm.way`. In the figure on conditionings an arm and
+            its twin have one value.
     """
 
     title: str
@@ -57,7 +56,7 @@ STUDIES = (
           {"eef_delta": "delta EEF", "eef_abs": "abs. EEF", "joint_delta": "delta joint",
            "joint_abs": "abs. joint", "eef_delta_componentwise": "delta EEF by component"}),
     Study("conditioning", "Ways to encode the camera pose", "encodings",
-          {name: name for name in CONDITIONINGS}, least=3),
+          {name: name for name in CONDITIONINGS}),
     Study("weights", "Pretrained image encoders", "pretraining", {"": "none"}),
     Study("n", "Number of cameras, all seen by every demonstration (m = 0)", "cameras", {},
           lambda arm: arm.settings.get("m") == 0),
@@ -81,7 +80,7 @@ def panels(study: Study, arms: Sequence[Arm]) -> list[Panel]:
     """
     known = [
         a for a in arms
-        if a.estimate.n and not is_told_wrong(a) and study.belongs(a)
+        if a.estimate.n and not a.is_told_wrong and study.belongs(a)
         and (study.field in a.settings or (study.field in OF_CAMERAS and "preset" in a.settings))
     ]  # fmt: skip
     shown = []
@@ -91,11 +90,10 @@ def panels(study: Study, arms: Sequence[Arm]) -> list[Panel]:
             groups.setdefault(context(arm, study.field, "conditioning"), []).append(arm)
         for group in map(functools.partial(_compared, study), groups.values()):
             values = arm_names(study, group)
-            if len(values) < study.least:
+            if len(values) < 2:
                 continue
             chosen = {
-                value: {a.settings["conditioning"]: a for a in _in_order(group)
-                        if a.setting(study.field) == value}
+                value: {a.way: a for a in _in_order(group) if value_of(study, a) == value}
                 for value in values
             }  # fmt: skip
             shown.append(Panel(_title(study, group[0]), chosen))
@@ -107,9 +105,16 @@ def arms_of(shown: Sequence[Panel]) -> list[Arm]:
     return [arm for panel in shown for arms in panel.arms.values() for arm in arms.values()]
 
 
+def value_of(study: Study, arm: Arm) -> Any:
+    """Where an arm stands in a figure: a twin beside what it is the twin of."""
+    if study.field == "conditioning":
+        return arm.network or arm.settings["conditioning"]
+    return arm.setting(study.field)
+
+
 def arm_names(study: Study, arms: Sequence[Arm]) -> dict[Any, str]:
     """The values that arms have of a study's setting, in its order, with their names."""
-    there = {arm.setting(study.field) for arm in arms}
+    there = {value_of(study, arm) for arm in arms}
     others = sorted(there - set(study.names), key=_number_or_text)
     return {v: study.names.get(v, str(v)) for v in (*study.names, *others) if v in there}
 
@@ -121,13 +126,14 @@ def _number_or_text(value: Any) -> tuple[float, str]:
 
 
 def _compared(study: Study, arms: Sequence[Arm]) -> list[Arm]:
-    """The arms whose conditioning is there at more than one value."""
+    """The arms whose conditioning is there at more than one value; all, of two conditionings."""
     if study.field == "conditioning":
-        return list(arms)
+        told = {arm.settings["conditioning"] for arm in arms} - {"none"}
+        return list(arms) if len(told) > 1 else []
     values: dict[str, set[Any]] = {}
     for arm in arms:
-        values.setdefault(arm.settings["conditioning"], set()).add(arm.setting(study.field))
-    return [arm for arm in arms if len(values[arm.settings["conditioning"]]) > 1]
+        values.setdefault(arm.way, set()).add(arm.setting(study.field))
+    return [arm for arm in arms if len(values[arm.way]) > 1]
 
 
 def _in_order(arms: Sequence[Arm]) -> list[Arm]:
@@ -135,9 +141,10 @@ def _in_order(arms: Sequence[Arm]) -> list[Arm]:
 
 
 def place(arm: Arm) -> int:
-    """Where an arm's conditioning stands in the order of figures; those of others come last."""
-    way = arm.settings["conditioning"]
-    return CONDITIONINGS.index(way) if way in CONDITIONINGS else len(CONDITIONINGS)
+    """Where an arm stands in the order of figures: a twin before its own; those of others last."""
+    network = arm.network or arm.settings["conditioning"]
+    known = CONDITIONINGS.index(network) if network in CONDITIONINGS else len(CONDITIONINGS)
+    return 2 * known + (arm.settings["conditioning"] != "none")
 
 
 def _title(study: Study, arm: Arm) -> str:
@@ -145,6 +152,6 @@ def _title(study: Study, arm: Arm) -> str:
     policy = paper.policy_title(s["policy"])
     fixed = ["fixed scene"] if s["scene"] == "fixed" and study.field != "scene" else []
     # What the figure itself says is no particular of a panel.
-    label = arm.label(study.field, *(("m",) if study.field == "n" else ()))
+    label = arm.label(study.field, "conditioning", *(("m",) if study.field == "n" else ()))
     task = paper.task_title(s["task"])
     return "\n".join([task, ", ".join([policy, *fixed, label])])

@@ -93,8 +93,8 @@ def curves(shown: Sequence[Panel], label: str) -> Figure:
     """
     figure, grid = panel_grid(len(shown), (4.4, 3.5))
     for axes, panel in zip(grid, shown, strict=True):
-        for way in CONDITIONINGS:
-            _curve(axes, {x: arms[way] for x, arms in panel.arms.items() if way in arms}, way)
+        for way in dict.fromkeys(way for arms in panel.arms.values() for way in arms):
+            _curve(axes, {x: arms[way] for x, arms in panel.arms.items() if way in arms})
         axes.set(xscale="log", ylim=(0, 1), xlabel=label)
         _title(axes, panel.title)
         axes.xaxis.set_major_locator(FixedLocator(list(panel.arms)))
@@ -110,7 +110,7 @@ def rates_and_gains(twins: Sequence[tuple[Arm, Arm]]) -> Figure:
     """Success with and without the camera pose, and their paired difference.
 
     Args:
-        twins: A conditioned arm and the image-only arm of the same settings, each.
+        twins: A conditioned arm and its image-only twin, each.
 
     Returns:
         The figure: at the left both rates, at the right the differences; diamonds are the paper's.
@@ -147,8 +147,7 @@ def maps(arms: Sequence[Arm]) -> Figure:
     across, up = angle_ticks(np.concatenate([rate_by_camera(arm.rows) for arm in arms]))
     for axes, arm in zip(grid, arms, strict=True):
         draw_cameras(axes, rate_by_camera(arm.rows), across, up, scale=0.5)
-        way = arm.settings["conditioning"]
-        e = arm.estimate
+        way, e = arm.way, arm.estimate
         name = drawn(_NAMES.get(way) or str(way))
         axes.set_title(f"{name}: {100 * e.value:.1f} %, n = {arm.count()}")
         axes.set(xlabel="azimuth (degrees)", ylabel="elevation (degrees)")
@@ -172,11 +171,10 @@ def panel_grid(count: int, size: tuple[float, float]) -> tuple[Figure, list[Axes
     return figure, grid[:count]
 
 
-def _curve(axes: Axes, arms: Mapping[Any, Arm], way: str) -> None:
-    """Success of arms by a number, with intervals; nothing without arms."""
-    colour, estimates = COLOURS[way], [arm.estimate for arm in arms.values()]
-    if not arms:
-        return
+def _curve(axes: Axes, arms: Mapping[Any, Arm]) -> None:
+    """Success of arms of one conditioning by a number, with intervals."""
+    colour = colour_of(next(iter(arms.values())))
+    estimates = [arm.estimate for arm in arms.values()]
     axes.plot([*arms], [e.value for e in estimates], color=colour)
     low, high = [e.low for e in estimates], [e.high for e in estimates]
     axes.fill_between([*arms], low, high, color=colour, alpha=0.15, linewidth=0)
@@ -217,7 +215,7 @@ def _title(axes: Axes, title: str) -> None:
 def _twin_name(arm: Arm) -> str:
     s = arm.settings
     label = arm.label("views", "n", "m").removeprefix("paper preset").removeprefix(", ")
-    words = filter(None, [policy_title(s["policy"]), task_title(s["task"]), label])
+    words = filter(None, [policy_title(s["policy"]), task_title(s["task"]), arm.way, label])
     return textwrap.fill(drawn(", ".join(words)), 32, break_long_words=False)
 
 

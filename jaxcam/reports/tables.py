@@ -2,20 +2,20 @@
 
 import csv
 import io
-import json
 import math
 import textwrap
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import zip_longest
 from typing import Any
 
 from jaxcam.reports import paper
-from jaxcam.reports.arms import Arm, Run, kind_of_pairs
+from jaxcam.reports.arms import Arm, ImageOnly, ImageOnlyArms, Run, context, kind_of_pairs
 from jaxcam.reports.document import Link, Table
 from jaxcam.reports.names import csv_cell
 from jaxcam.results.differences import PairedDifference
 from jaxcam.results.protocol import is_foreign
-from jaxcam.results.stats import by_field, p_text
+from jaxcam.results.stats import by_field, gap_between, p_text, success_rate
 from jaxcam.runs.foreign import NOT_SAID
 from jaxcam.runs.identity import plain
 
@@ -23,42 +23,32 @@ NONE = "–"
 _NOTHING = (math.nan, math.nan)
 # Settings that a task brings with it, so that they differ between the columns of Table I.
 _OF_TASK = ("n", "m", "views", "steps")
-_OF_WHAT_IS_TOLD = ("pose_noise", "pose_noise_per", "ray_frame", "rays_from",
-                    "eval_pose_noise", "eval_pose_drift")  # fmt: skip
-"""Settings that an image-only policy does not notice."""
 
 
-def context(arm: Arm, *without: str) -> str:
-    """The settings of an arm but some, to find the arms that differ in these alone."""
-    if "conditioning" in without:
-        without = (*without, "stem")  # says how one way of conditioning is built
-    if "action_space" in without:
-        without = (*without, "rotations")  # says how one action space writes them
-    kept = {k: v for k, v in arm.settings.items() if k not in without}
-    return json.dumps(kept, sort_keys=True)
+def twins_of(arms: Sequence[Arm]) -> list[tuple[Arm, ImageOnly]]:
+    """Every conditioned arm that has rollouts, with the image-only arm that it is compared with."""
+    image_only = ImageOnlyArms(arms)
+    clean = [arm for arm in arms if not arm.is_told_wrong]
+    pairs = ((arm, image_only.of(arm)) for some in by_task(clean).values() for arm in some)
+    return [(a, b) for a, b in pairs if b and a.estimate.n and b.arm.estimate.n]
 
 
-def is_told_wrong(arm: Arm) -> bool:
-    """Whether its policy was told poses with errors when it was evaluated."""
-    return any(arm.settings.get(name) for name in ("eval_pose_noise", "eval_pose_drift"))
-
-
-def image_only_context(arm: Arm) -> str:
-    """What an arm shares with its image-only twin, which no error of what is told reaches."""
-    return context(arm, "conditioning", *_OF_WHAT_IS_TOLD)
-
-
-def baselines(arms: Sequence[Arm]) -> dict[str, Arm]:
-    """The image-only arms by `image_only_context`."""
-    return {image_only_context(a): a for a in arms if a.settings["conditioning"] == "none"}
-
-
-def twins_of(arms: Sequence[Arm]) -> list[tuple[Arm, Arm]]:
-    """Every conditioned arm that has rollouts, with the image-only arm of the same settings."""
-    base = baselines(arms)
-    pairs = ((arm, base.get(image_only_context(arm))) for some in by_task(arms).values()
-             for arm in some if not is_told_wrong(arm))  # fmt: skip
-    return [(a, b) for a, b in pairs if b and b is not a and a.estimate.n and b.estimate.n]
+def without_twins(arms: Sequence[Arm]) -> list[str]:
+    """What is said of arms whose image-only runs are of another network; no gain is shown there."""
+    image_only, found = ImageOnlyArms(arms), dict[tuple[str, str], set[str]]()
+    count = Counter[tuple[str, str]]()
+    for arm in (arm for arm in arms if arm.estimate.n):
+        if others := {other.way for other in image_only.others(arm) if other.estimate.n}:
+            kind = arm.settings["policy"], arm.settings["conditioning"]
+            found.setdefault(kind, set()).update(others)
+            count[kind] += 1
+    return [
+        f"No gain is shown of {paper.policy_title(policy)}, {way}, in {count[policy, way]} "
+        f"{'settings' if count[policy, way] > 1 else 'setting'}: the image-only runs are of "
+        f"another network ({', '.join(sorted(others))}). The twin is trained with --conditioning "
+        f"none --model twin_of={way}."
+        for (policy, way), others in found.items()
+    ]
 
 
 def table_one(arms: Sequence[Arm]) -> Table:
@@ -70,14 +60,16 @@ def table_one(arms: Sequence[Arm]) -> Table:
     shown = [arm for arm in arms if is_of_table(arm)]
     others = [t for t in by_task(shown) if t not in paper.TASKS]
     tasks = [*paper.TASKS, *others]
-    base = baselines(arms)
+    base = ImageOnlyArms(arms)
     rows: list[list[str]] = []
     rules: list[int] = []
     for policy, name in paper.POLICIES.items():
         for conditioned in (False, True):
             rules += [len(rows)] if not conditioned else []
             title = f"{name}\nw. conditioning" if conditioned else name
-            rows.append([title, "paper", *(_paper_cell(policy, t, conditioned) for t in tasks)])
+            rows.append(
+                [title, "paper", *(paper.table_cell(policy, t, conditioned) for t in tasks)]
+            )
             for source, line in _lines(shown, policy, conditioned):
                 rows.append(["", source, *(_rate_cell(line.get(t), base) for t in tasks)])
     for policy in dict.fromkeys(a.settings["policy"] for a in shown if is_foreign_arm(a)):
@@ -89,8 +81,10 @@ def table_one(arms: Sequence[Arm]) -> Table:
                 title = ""
     titles = [paper.task_title(t) for t in tasks]
     caption = (
-        "Success in percent with and without camera conditioning (Table I of the paper). In "
-        "parentheses the gain over the image-only policy, in brackets the 95 % interval from a "
+        "Success in percent with and without camera conditioning (Table I of the paper). A twin is "
+        "the same network, trained alike and fed with the pose of one camera that never changes; "
+        "in parentheses the gain over a policy's own twin (the paper's: over its image-only one), "
+        "in brackets the 95 % interval from a "
         "bootstrap over pairs, n the rollouts. Where there are several seeds, the rates of the "
         "least and the best of them, and from three on an interval over new pairs and new seeds. "
         "Ours have the conditioning of the paper, and those it does not have."
@@ -103,18 +97,19 @@ def gains_table(arms: Sequence[Arm]) -> Table | None:
     rows = []
     for arm, twin in twins_of(arms):
         s = arm.settings
-        delta = arm.against(twin)
+        delta = arm.against(twin.arm)
         rows.append([
             paper.policy_title(s["policy"]), _task(arm), s["conditioning"],
-            arm.label(), _paper_gain(arm), *_difference(delta),
-            f"{arm.estimate.n}, {twin.estimate.n}",
+            arm.label(), twin.words, _paper_gain(arm), *_difference(delta),
+            f"{arm.estimate.n}, {twin.arm.estimate.n}",
         ])  # fmt: skip
-    head = ("Policy", "Task", "Conditioning", "Settings", "Paper", "Gain", "p", "Pairs",
+    head = ("Policy", "Task", "Conditioning", "Settings", "Over", "Paper", "Gain", "p", "Pairs",
             "Rollouts")  # fmt: skip
     caption = (
-        "Gain of camera conditioning in points: mean over the pairs that both policies were "
-        "evaluated on, with 95 % interval over pairs and the p-value of the same test (Student's t "
-        "with two pairs added), and beside it what several seeds give."
+        "Gain of camera conditioning in points over the twin, which is the same network, trained "
+        "alike and fed with the pose of one camera that never changes: mean over the pairs that "
+        "both policies were evaluated on, with 95 % interval over pairs and the p-value of the "
+        "same test (Student's t with two pairs added), and beside it what several seeds give."
     )
     return Table(caption, head, rows) if rows else None
 
@@ -153,6 +148,38 @@ def foreign_table(arms: Sequence[Arm]) -> Table | None:
     return Table(caption, head, rows, rules, folded=len(rows) > 40) if rows else None
 
 
+def seen_table(arms: Sequence[Arm], seen: Sequence[Arm]) -> Table | None:
+    """Success on cameras that training saw and on held-out ones, in columns of their own.
+
+    Args:
+        arms: With their rows on held-out pairs.
+        seen: With their rows on new starts and cameras that training saw; of the same checkpoints
+            both are shown.
+    """
+    base, rows = ImageOnlyArms(seen), list[list[str]]()
+    held_out = {context(arm): arm for arm in arms}
+    for arm in (a for some in by_task(seen).values() for a in some if a.estimate.n):
+        steps = {row.step for row in arm.rows}
+        others = [r for r in getattr(held_out.get(context(arm)), "rows", []) if r.step in steps]
+        memory, result = arm.estimate, success_rate(others)
+        gap = gap_between(result, memory) if result.n else None
+        rows.append([
+            paper.policy_title(arm.settings["policy"]), _task(arm), arm.way,
+            arm.label("conditioning"), _rate(memory.value, memory.low, memory.high),
+            f"{memory.n}", _rate(result.value, result.low, result.high), f"{result.n}",
+            "{:+.1f} [{:+.1f}, {:+.1f}]".format(*(100 * x for x in gap)) if gap else NONE,
+            _over(arm, base.of(arm)),
+        ])  # fmt: skip
+    head = ("Policy", "Task", "Conditioning", "Settings", "Seen cameras", "Rollouts",
+            "Held-out cameras", "Rollouts", "Difference", "Seen, over its twin")  # fmt: skip
+    caption = (
+        "Memory: success on new initial states seen by cameras of the training demonstrations. It "
+        "is no result. Beside it the same checkpoints on held-out cameras: other pairs, so that "
+        "their difference is not paired (its interval is Newcombe's). That to the twin is."
+    )
+    return Table(caption, head, rows) if rows else None
+
+
 def is_foreign_arm(arm: Arm) -> bool:
     """Whether an arm's policy is somebody else's."""
     return is_foreign(arm.settings["policy"])
@@ -166,25 +193,26 @@ def cells(arms: Sequence[Arm], field: str, order: Mapping[Any, str]) -> Table:
         field: Setting that the figure varies.
         order: Its values, with their names; the first is what the others are compared with.
     """
-    base = baselines(arms)
+    base = ImageOnlyArms(arms)
     first = next(iter(order))
     firsts = {context(a, field): a for a in arms if a.setting(field) == first}
     rows = []
     for arm in arms:
         s, e = arm.settings, arm.estimate
-        twin = base.get(image_only_context(arm))
-        reference = firsts.get(context(arm, field))
-        others = [] if field == "conditioning" else [_against(arm, reference)]
-        way = [] if field == "conditioning" else [s["conditioning"]]
+        if field == "conditioning":
+            name, ways, others = arm.way, [], []
+        else:
+            name, ways = order[arm.setting(field)], [arm.way]
+            others = [_against(arm, firsts.get(context(arm, field)))]
         rows.append([
             _task(arm) if field != "scene" else paper.task_title(s["task"]),
-            arm.label(field), order[arm.setting(field)], *way,
+            arm.label(field, "conditioning"), name, *ways,
             "\n".join([_rate(e.value, e.low, e.high), *e.of_seeds()]), arm.count(),
-            _against(arm, twin), *others,
+            _over(arm, base.of(arm)), *others,
         ])  # fmt: skip
     names = ["Conditioning"] if field != "conditioning" else []
     versus = [f"Against {order[first]}"] if field != "conditioning" else []
-    head = ("Task", "Settings", "Value", *names, "Success", "Rollouts", "Against image only",
+    head = ("Task", "Settings", "Value", *names, "Success", "Rollouts", "Over its twin",
             *versus)  # fmt: skip
     return Table("The figure's numbers; differences are paired.", head, rows, folded=True)
 
@@ -216,18 +244,18 @@ def runs_table(runs: Iterable[Run], links: Mapping[str, Sequence[Link]]) -> Tabl
 
 def to_csv(arms: Sequence[Arm]) -> str:
     """All arms with their settings, success, gain over the image-only twin, and the paper's."""
-    base = baselines(arms)
+    base = ImageOnlyArms(arms)
     names = list(dict.fromkeys(name for arm in arms for name in arm.settings))
     out = io.StringIO()
     head = [*names, "seeds", "checkpoints", "rollouts", "asked", "lacks", "pairs", "excluded",
-            "success", "low", "high", "paper", "gain", "gain_low", "gain_high", "p",
+            "success", "low", "high", "paper", "gain_over", "gain", "gain_low", "gain_high", "p",
             "gain_pairs", "without_actions", "least_seed", "most_seed", "low_over_seeds",
             "high_over_seeds", "gain_low_over_seeds", "gain_high_over_seeds"]  # fmt: skip
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(map(csv_cell, head))
     for arm in arms:
-        e, twin = arm.estimate, base.get(image_only_context(arm))
-        d = None if twin is None or twin is arm else arm.against(twin)
+        e, twin = arm.estimate, base.of(arm)
+        d = twin and arm.against(twin.arm)
         settings = (arm.settings.get(name) for name in names)
         known = paper_value(arm)
         writer.writerow([
@@ -235,6 +263,7 @@ def to_csv(arms: Sequence[Arm]) -> str:
             max((len(by_field(r.counted, "step")) for r in arm.runs), default=0), e.n,
             arm.runs[0].protocol.rollouts, "; ".join(arm.lacks), e.clusters, e.excluded,
             *map(_number, (e.value, e.low, e.high)), "" if known is None else f"{known / 100:.3f}",
+            twin.words if twin else "",
             *(map(_number, (d.value, d.low, d.high, d.p_value)) if d else [""] * 4),
             d.pairs if d else "", e.broken,
             *map(_number, (min(e.seeds), max(e.seeds)) if e.seeds else _NOTHING),
@@ -250,7 +279,7 @@ def paper_value(arm: Arm) -> float | None:
     conditioned = s["conditioning"] != "none"
     if not paper.is_table_setting(s):
         return None
-    if conditioned and s["conditioning"] != _papers_way(s["policy"]):
+    if conditioned and s["conditioning"] != paper.CONDITIONING.get(s["policy"]):
         return None
     return paper.success(s["policy"], s["task"], conditioned)
 
@@ -261,9 +290,11 @@ def is_of_table(arm: Arm) -> bool:
     Somebody else's policy belongs there however it acts: the table has no other place for it.
     """
     if is_foreign_arm(arm):
-        return arm.settings["scene"] == "randomized" and not is_told_wrong(arm)
-    way = arm.settings["conditioning"]
-    known = way in ("none", _papers_way(arm.settings["policy"])) or way not in paper.ENCODINGS
+        return arm.settings["scene"] == "randomized" and not arm.is_told_wrong
+    network = arm.network  # of an image-only arm, whose twin it is
+    known = (
+        network == paper.CONDITIONING.get(arm.settings["policy"]) or network not in paper.ENCODINGS
+    )
     return known and paper.is_table_setting(arm.settings)
 
 
@@ -314,18 +345,6 @@ def _task(arm: Arm) -> str:
     return paper.task_title(s["task"]) + (", fixed" if s["scene"] == "fixed" else "")
 
 
-def _papers_way(policy: str) -> str | None:
-    return paper.CONDITIONING.get(policy)
-
-
-def _paper_cell(policy: str, task: str, conditioned: bool) -> str:
-    value = paper.success(policy, task, conditioned)
-    if value is None:
-        return NONE
-    image_only = paper.success(policy, task, False) or 0.0
-    return f"{value:.1f}" + (f" ({value - image_only:+.1f})" if conditioned else "")
-
-
 def _paper_gain(arm: Arm) -> str:
     s = arm.settings
     if (value := paper_value(arm)) is None:
@@ -333,13 +352,12 @@ def _paper_gain(arm: Arm) -> str:
     return f"{value - (paper.success(s['policy'], s['task'], False) or 0.0):+.1f}"
 
 
-def _rate_cell(arm: Arm | None, base: Mapping[str, Arm]) -> str:
+def _rate_cell(arm: Arm | None, base: ImageOnlyArms) -> str:
     if arm is None or not arm.estimate.n:
         return NONE
-    e, twin = arm.estimate, base.get(image_only_context(arm))
-    gain = ""
-    if twin is not None and twin is not arm and twin.rows:
-        delta = arm.against(twin)
+    e, twin, gain = arm.estimate, base.of(arm), ""
+    if twin and twin.is_twin and twin.arm.rows:
+        delta = arm.against(twin.arm)
         gain = f" ({100 * delta.value:+.1f})" if delta.pairs else ""
     interval = f"[{100 * e.low:.1f}, {100 * e.high:.1f}]"
     return "\n".join([f"{100 * e.value:.1f}{gain}", interval, f"n = {arm.count()}", *e.of_seeds()])
@@ -359,6 +377,13 @@ def _difference(delta: PairedDifference) -> list[str]:
     lines = [f"{value:+.1f} [{low:+.1f}, {high:+.1f}]", *delta.of_seeds()]
     return ["\n".join(lines), p_text(delta.p_value),
             f"{delta.pairs}{left_out}"]  # fmt: skip
+
+
+def _over(arm: Arm, other: ImageOnly | None) -> str:
+    if other is None:
+        return NONE
+    words = _against(arm, other.arm)
+    return words if other.is_twin or words == NONE else f"{words}\n{other.words}"
 
 
 def _against(arm: Arm, other: Arm | None) -> str:

@@ -17,7 +17,6 @@ import scipy.stats
 from jaxcam.results.rows import Row
 from jaxcam.results.stats import (
     LEVEL,
-    Estimate,
     PairOutcomes,
     by_pair,
     by_seed,
@@ -149,16 +148,3 @@ def _mean(groups: PairOutcomes, pair: object) -> float:
     """Of the rollouts of a pair."""
     outcomes = [bool(row.success) for row in groups[pair]]
     return sum(outcomes) / len(outcomes)
-
-
-def unpaired_difference(a: Estimate, b: Estimate) -> tuple[float, float, float]:
-    """A rate minus one on other pairs, with its 95 % interval (Newcombe's, of both intervals).
-
-    Args:
-        a: The one.
-        b: The other.
-    """
-    value = a.value - b.value
-    low = value - ((a.value - a.low) ** 2 + (b.high - b.value) ** 2) ** 0.5
-    high = value + ((a.high - a.value) ** 2 + (b.value - b.low) ** 2) ** 0.5
-    return value, low, high

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from jaxcam.results.rows import OUTCOMES, Row
+from jaxcam.results.rows import OUTCOMES, SEEN, Row
 from jaxcam.results.stats import by_field
 
 ATTEMPTS = 2
@@ -112,9 +112,12 @@ def lacks(runs: Iterable[Sequence[Row]], protocol: Protocol, last: int | None) -
     Returns:
         Phrases such as "1 of 3 seeds".
     """
-    shapes = [_shape(rows) for rows in runs if rows]
-    if not shapes:
+    judged = [rows for rows in runs if rows]
+    if not judged:
         return ["not evaluated"]
+    if any(row.split == SEEN for rows in judged for row in rows):
+        return ["on cameras that training saw: no result"]
+    shapes = [_shape(rows) for rows in judged]
     wanted = [
         (len(shapes), protocol.seeds, "seeds"),
         (min(checkpoints for checkpoints, _, _ in shapes), protocol.checkpoints, "checkpoints"),

@@ -12,6 +12,8 @@ Status = Literal["ok", "policy", "simulator", "error"]
 another shape or that are no numbers, which is its failure and counts as one. "simulator": the
 physics failed, so there is no outcome. "error": one of these two, as rows of version 0.1.0 have it;
 it has no outcome, since nobody knows which."""
+SEEN = "train"
+"""The split of new starts on cameras that training saw: what it gives is memory, and no result."""
 OUTCOMES: tuple[Status, ...] = ("ok", "policy")
 """With these a rollout has an outcome."""
 
@@ -30,7 +32,7 @@ class Row:
         conditioning: How the policy is given its camera.
         seed: Of the training.
         step: Updates of the checkpoint.
-        split: Which pairs: "test" or "validation".
+        split: Which pairs: "test" or "validation"; "train" is on cameras that training saw.
         pair: Number of the pair.
         pair_sha: Digest of the pair: runs are compared on the same ones only.
         weights_sha: Digest of the weights that acted, see `jaxcam.runs.rollouts.weights_digest`.

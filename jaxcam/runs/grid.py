@@ -8,10 +8,13 @@ A file has these entries:
     settings:                    # flags of `python -m jaxcam.train` that all runs share
       {preset: laptop, seed: [0, 1, 2]}
     runs:                        # each entry is every combination of its values and the shared ones
-      - {task: lift, conditioning: [none, late]}
+      - {task: lift, conditioning: [late, keypoints], twins: true}
     evaluations:                 # more of them, by flags of `python -m jaxcam.evaluate` that say
       - {pose_noise: ["1,1", "2,2"]}                     # conditions: each is every combination
     slurm: {timeout_min: 480}    # for submitit, where runs are sent to a cluster
+
+With `twins`, each run that is told its cameras brings its own image-only twin: the same network,
+fed with one fixed pose. That is what its gain is counted from.
 
 A run's folder is named by its settings, not by the file, so files that share runs train them once.
 """
@@ -35,7 +38,13 @@ from jaxcam.files.yaml import read_yaml
 from jaxcam.results.protocol import missing, protocol_of
 from jaxcam.results.rows import Row
 from jaxcam.results.stats import Estimate, latest_rows, success_rate
-from jaxcam.runs.identity import differences, full_name, resolve, stored_config
+from jaxcam.runs.identity import (
+    differences,
+    full_name,
+    resolve,
+    stored_config,
+    twin_settings,
+)
 from jaxcam.runs.metrics import read_metrics
 from jaxcam.runs.rollouts import read_run_rows
 from jaxcam.sim import engine_name, make_task
@@ -64,6 +73,7 @@ _ENTRIES = tuple(f.name for f in dataclasses.fields(_File))
 _CONDITIONS = tuple(f.name for f in dataclasses.fields(Conditions))
 _FIELDS = {f.name: f for f in dataclasses.fields(TrainConfig)}
 _OURS = ("run_dir",)
+_NAMES = (*_FIELDS, "twins")
 
 
 @dataclass(frozen=True)
@@ -196,7 +206,7 @@ def read_grid(path: str | Path) -> Grid:
     protocol = file.protocol or "one"
     if protocol not in (known := get_args(ProtocolName)):
         raise ConfigError(f"{where}: unknown protocol '{protocol}'{closest(str(protocol), known)}")
-    shared = _mapping(f"{where}, settings", file.settings or {}, _FIELDS)
+    shared = _mapping(f"{where}, settings", file.settings or {}, _NAMES)
     evaluations = tuple(
         _evaluation(f"{where}, evaluation {i}", asked)
         for i, asked in enumerate(file.evaluations or (), start=1)
@@ -204,8 +214,11 @@ def read_grid(path: str | Path) -> Grid:
     runs: dict[Path, Planned] = {}
     for i, block in enumerate(file.runs, start=1):
         place = f"{where}, run {i}"
-        values = {**shared, **_mapping(place, block, _FIELDS)}
-        for given in _combinations(place, values):
+        values = {**shared, **_mapping(place, block, _NAMES)}
+        twins = values.pop("twins", False)
+        if not isinstance(twins, bool):
+            raise ConfigError(f"{place}: 'twins' must be true or false, got {short(twins)}.")
+        for given in _combinations(place, values, twins=twins):
             planned = _plan(place, home(file.runs_dir), given, protocol)
             planned = dataclasses.replace(planned, evaluations=evaluations)
             known = runs.setdefault(planned.folder, planned)
@@ -270,19 +283,9 @@ def _evaluation(where: str, asked: Any) -> dict[str, tuple[str, ...]]:
 
 
 def _plan(where: str, runs_dir: Path, given: dict[str, Any], protocol: ProtocolName) -> Planned:
-    if given.get("preset", "auto") == "auto":
-        raise ConfigError(
-            f"{where}: there is no 'preset'. A grid says which, since the machine that trains may "
-            "not be the one that plans."
-        )
+    config = _resolved(where, given)
     if "seed" not in given:
         raise ConfigError(f"{where}: there is no 'seed'.")
-    try:
-        config = resolve(TrainConfig(**given), accelerator=False)
-        if config.engine != "auto":
-            engine_name(config.engine, make_task(config.task))
-    except ConfigError as error:
-        raise ConfigError(f"{where}: {error}") from error
     name = _folder(runs_dir, config)
     planned = Planned(runs_dir / name, given, config, protocol)
     asked = protocol_of(config.policy).checkpoints
@@ -294,6 +297,22 @@ def _plan(where: str, runs_dir: Path, given: dict[str, Any], protocol: ProtocolN
             f"Set save_every to {config.steps // asked} or less, and keep to {asked} or more."
         )
     return planned
+
+
+def _resolved(where: str, given: Mapping[str, Any]) -> TrainConfig:
+    """The settings of a run in full."""
+    if given.get("preset", "auto") == "auto":
+        raise ConfigError(
+            f"{where}: there is no 'preset'. A grid says which, since the machine that trains may "
+            "not be the one that plans."
+        )
+    try:
+        config = resolve(TrainConfig(**given), accelerator=False)
+        if config.engine != "auto":
+            engine_name(config.engine, make_task(config.task))
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from error
+    return config
 
 
 def _folder(runs_dir: Path, config: TrainConfig) -> str:
@@ -321,8 +340,13 @@ def _mapping(where: str, content: Any, known: Any) -> dict[str, Any]:
     return content
 
 
-def _combinations(where: str, values: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """Every combination of the values; a list is several, of `model` a list of lists."""
+def _combinations(
+    where: str, values: Mapping[str, Any], *, twins: bool
+) -> Iterator[dict[str, Any]]:
+    """Every combination of the values, and its twin if that is asked for.
+
+    A list is several values, of `model` a list of lists.
+    """
     choices = []
     for name, value in values.items():
         several = isinstance(value, list)
@@ -341,4 +365,20 @@ def _combinations(where: str, values: Mapping[str, Any]) -> Iterator[dict[str, A
     if (count := math.prod(map(len, choices))) > MOST_RUNS:
         raise ConfigError(f"{where}: {count:,} combinations, more than {MOST_RUNS:,}.")
     for combination in itertools.product(*choices):
-        yield dict(zip(values, combination, strict=True))
+        given = dict(zip(values, combination, strict=True))
+        yield given
+        if twins and (twin := _twin(where, given)):
+            yield twin
+
+
+def _twin(where: str, given: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The image-only twin of a run; None of one that is image-only itself."""
+    config = _resolved(where, given)
+    if config.conditioning == "none":
+        return None
+    twin = {**given, **twin_settings(config)}
+    return (
+        twin
+        if twin["model"] or "model" in given
+        else {k: v for k, v in twin.items() if k != "model"}
+    )

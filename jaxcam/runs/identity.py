@@ -11,7 +11,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -169,6 +169,8 @@ def default_folder(config: TrainConfig) -> str:
     usual = _of_subject(config.task)
     names = ("task", "policy", "preset", "conditioning") if config.task == RECORDED else _NAMED
     parts = [getattr(config, name) for name in names]
+    if config.conditioning == "none" and (twin_of := _said_twin(config.model)):
+        parts.append(f"as_{twin_of}")
     if config.action_space != usual["action_space"]:
         parts.append(config.action_space)
     if (config.n, config.m) != (usual["n"], usual["m"]) and config.task != RECORDED:
@@ -254,6 +256,50 @@ def _usual(*named: str, steps: int | None = None) -> Settings:
     usual = identity(resolve(config, accelerator=False)) | USUAL_WAY
     others = dict.fromkeys(CONDITIONS) | OF_CAMERAS
     return usual | {"rotations": TrainConfig.rotations} | others
+
+
+def network_of(settings: Mapping[str, Any]) -> str | None:
+    """The conditioning whose network a run has; of an image-only one, the one it is the twin of.
+
+    Args:
+        settings: From `identity`, or what is known of them.
+
+    Returns:
+        Such as "late"; "none" where the network has no place for a camera; None if nobody says.
+    """
+    if settings["conditioning"] != "none":
+        return settings["conditioning"]
+    preset = PRESETS.get((settings.get("policy"), settings.get("preset")))  # pyright: ignore
+    return _said_twin(settings.get("model") or ()) or (preset and preset.conditioning)
+
+
+def without_twin(model: Iterable[str]) -> list[str]:
+    """Changes to a network but the one that says whose twin it is."""
+    return [change for change in model if not _says_twin(change)]
+
+
+def twin_settings(config: TrainConfig) -> Settings:
+    """What makes the image-only twin of a run: its network, fed with one fixed pose.
+
+    Args:
+        config: Resolved settings of a run that is told its cameras.
+
+    Returns:
+        `conditioning` and `model`.
+    """
+    network, model = config.conditioning, without_twin(config.model)
+    _, preset = policy_preset(config, accelerator=False)
+    if preset.conditioning != network:
+        model.append(f"twin_of={network}")
+    return {"conditioning": "none", "model": tuple(model)}
+
+
+def _says_twin(change: str) -> bool:
+    return str(change).partition("=")[0] == "twin_of"
+
+
+def _said_twin(model: Iterable[str]) -> str:
+    return next((str(c).partition("=")[2] for c in model if _says_twin(c)), "")
 
 
 def plain(value: Any) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from jaxcam.config.conditions import Conditions
+from jaxcam.config.names import EvaluationSplit, names_of
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import DatasetError
 from jaxcam.files.jsonl import read_jsonl
@@ -216,7 +217,7 @@ def _stored_pairs(run: Path, split: str) -> dict[int, str]:
     Raises:
         DatasetError: The file is not what `jaxcam.data.pairs.store_pairs` writes.
     """
-    if split not in ("test", "validation"):
+    if split not in names_of(EvaluationSplit):
         return {}  # a name from a file is no path
     file = rows_file(run).with_name(f"pairs-{split}.json")
     if not file.is_file():

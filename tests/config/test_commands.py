@@ -3,6 +3,7 @@
 import pytest
 
 from jaxcam.config.commands import CheckConfig, EvaluateConfig, ReportConfig
+from jaxcam.config.foreign import ForeignConfig
 from jaxcam.errors import ConfigError
 
 
@@ -15,6 +16,9 @@ from jaxcam.errors import ConfigError
         (EvaluateConfig, {"run": ()}, "No run is given"),
         (EvaluateConfig, {"run": ("a",), "protocol": "paper", "pairs": 7}, "leave out --step"),
         (EvaluateConfig, {"run": ("a",), "protocol": "paper", "step": 7}, "leave out --step"),
+        (EvaluateConfig, {"run": ("a",), "protocol": "paper", "split": "train"}, "gives results"),
+        (EvaluateConfig, {"foreign": ForeignConfig("a:b"), "split": "train"}, "nobody says which"),
+        (ReportConfig, {"runs": ("a",), "split": "train"}, "unknown split|split"),
         (ReportConfig, {"runs": ()}, "No run is given"),
         (CheckConfig, {"target": "a", "env": True}, "not both"),
         (CheckConfig, {}, "Nothing to check"),

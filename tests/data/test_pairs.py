@@ -1,10 +1,15 @@
 """Pairs of initial state and camera pose follow from their number, and are compared."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from jaxcam.data.pairs import make_pairs, store_pairs
+from jaxcam.config.train import TrainConfig
+from jaxcam.data.pairs import cameras_seen, make_pairs, store_pairs
+from jaxcam.data.splits import SPLITS
 from jaxcam.errors import DatasetError
+from jaxcam.runs.identity import resolve
 
 
 def test_pairs_follow_from_their_number_and_are_recognised(lift, scene, scenes):
@@ -18,6 +23,26 @@ def test_pairs_follow_from_their_number_and_are_recognised(lift, scene, scenes):
     assert np.array_equal(both.cameras[0, 0], some.cameras[2, 0])
     moved = some._replace(start=some.start._replace(qpos=some.start.qpos + 2e-6))
     assert not set(moved.digests()) & set(some.digests())
+
+
+def test_pairs_of_train_are_new_starts_on_cameras_of_the_demonstrations(lift, scene, demos):
+    config = TrainConfig(
+        n=2, m=1, demos=demos.header.train, dataset=str(demos.path), preset="laptop"
+    )
+    seen = cameras_seen(resolve(config, accelerator=False), demos.fingerprint)
+    held_out = demos.header.valid
+    np.testing.assert_array_equal(seen, demos.header.world_from_camera[:-held_out])
+    n, m = demos.header.n, demos.header.m
+    drawn = replace(config, dataset="", n=n, m=m)  # without the file: they follow from the numbers
+    np.testing.assert_allclose(cameras_seen(resolve(drawn, accelerator=False)), seen, atol=1e-9)
+    pairs = make_pairs(lift, scene, 1, "train", [0, 1, len(seen)], seen)
+    np.testing.assert_array_equal(pairs.cameras[:, 0], seen[[0, 1, 0]])
+    taken = {demo.seed for demo in demos.episodes}
+    assert not taken & set(pairs.seeds)
+    for seeds in SPLITS.values():  # nobody evaluates on a million pairs
+        assert not set(pairs.seeds) & set(range(seeds.episodes, seeds.episodes + 1_000_000))
+    with pytest.raises(DatasetError, match="is not what the run was trained on"):
+        cameras_seen(resolve(config, accelerator=False), "0123")
 
 
 def test_stored_pairs_are_compared_and_grow(lift, scene, tmp_path):

@@ -56,8 +56,9 @@ def arms_of(folder):
 def make_studies(folder):
     """Runs of the paper's figures on scenes, encodings and numbers of cameras."""
     for way in ("none", "late"):
+        twin = {"model": ("twin_of=late",)} if way == "none" else {}
         for scene in ("fixed", "randomized"):
-            make_run(folder / f"{scene}-{way}", scene=scene, conditioning=way)
+            make_run(folder / f"{scene}-{way}", scene=scene, conditioning=way, **twin)
         for n in (3, 30):
-            make_run(folder / f"n{n}-{way}", n=n, m=0, conditioning=way, steps=2000)
+            make_run(folder / f"n{n}-{way}", n=n, m=0, conditioning=way, steps=2000, **twin)
     make_run(folder / "token", conditioning="token")

@@ -1,11 +1,16 @@
 """How settings name what a policy is told of its cameras."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from jaxcam.config.presets import PRESETS
+from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
-from jaxcam.models import ACT_PRESETS
+from jaxcam.models import ACT_PRESETS, FAMILIES, policy_settings
 from jaxcam.models.conditioning import NOMINAL_POSE, VisionConfig, with_conditioning
+from jaxcam.runs.identity import resolve
 
 
 def test_none_keeps_the_network_it_is_compared_with():
@@ -14,6 +19,22 @@ def test_none_keeps_the_network_it_is_compared_with():
     assert (twin.conditioning, twin.network) == ("none", laptop.network)
     assert with_conditioning(with_conditioning(laptop, "late"), "none").network == "late"
     assert with_conditioning(twin, "early").network == "early"
+
+
+def test_presets_say_which_network_an_image_only_policy_shares():
+    """Reports learn from the settings alone whose twin a run is."""
+    for (policy, name), preset in PRESETS.items():
+        settings = FAMILIES[policy].presets[name]
+        assert with_conditioning(settings, "none").network == preset.conditioning, (policy, name)
+
+
+def test_a_policy_that_is_told_its_camera_is_nobodys_twin():
+    config = TrainConfig(preset="laptop", conditioning="late", model=("twin_of=early",))
+    with pytest.raises(ConfigError, match="twin_of is for --conditioning none, not late"):
+        policy_settings(resolve(config, accelerator=False), ())
+    twin = replace(config, conditioning="none")
+    settings = policy_settings(resolve(twin, accelerator=False), ())
+    assert (settings.conditioning, settings.network) == ("none", "early")
 
 
 def test_nominal_pose_is_a_camera_that_looks_at_the_table():

@@ -6,8 +6,8 @@ from made_runs import make_run
 
 @pytest.fixture
 def runs(tmp_path):
-    """Image-only and late fusion on Lift, a seed each; a folder of runs."""
+    """Late fusion and its image-only twin on Lift, a seed each; a folder of runs."""
     folder = tmp_path / "runs"
-    for way, rate in (("none", 0.25), ("late", 0.75)):
-        make_run(folder / way, rate=rate, conditioning=way)
+    make_run(folder / "none", rate=0.25, conditioning="none", model=("twin_of=late",))
+    make_run(folder / "late", rate=0.75, conditioning="late")
     return folder

@@ -16,11 +16,12 @@ from web_page import Page
 
 from jaxcam.config.commands import ReportConfig
 from jaxcam.console.terminal import Terminal
+from jaxcam.errors import ConfigError
 from jaxcam.reports.arms import group
 from jaxcam.reports.comparison import main as comparison_main
 from jaxcam.reports.comparison import write_comparison
 from jaxcam.reports.reading import read_runs
-from jaxcam.reports.tables import gains_table
+from jaxcam.reports.tables import gains_table, table_one
 from jaxcam.results.actions import ActionErrors
 from jaxcam.runs.action_errors import errors_file
 
@@ -48,6 +49,7 @@ def test_a_report_is_whole(runs, tmp_path):
         none, late = sorted(csv.DictReader(file), key=lambda r: r["conditioning"] != "none")
     assert (float(none["success"]), float(none["paper"]), none["gain"]) == (0.25, 0.336, "")
     assert (late["gain"], late["gain_pairs"], late["rollouts"]) == ("0.5000", "8", "8")
+    assert (late["gain_over"], none["gain_over"]) == ("its twin", "")
     assert late["lacks"] == "1 of 3 seeds; 1 of 10 checkpoints; 8 of 50 pairs"
 
 
@@ -72,7 +74,10 @@ def test_rows_alone_are_shown_as_far_as_they_tell(runs, tmp_path):
     (folder / "rows.jsonl").write_text("".join(lines))
     arms = arms_of(folder)
     assert {arm.label() for arm in arms} == {"settings not recorded"}
-    assert gains_table(arms).rows[0][5].startswith("+50.0")
+    (gain,) = gains_table(arms).rows
+    assert gain[4] == "image only, not known to be its twin"
+    assert gain[6].startswith("+50.0")
+    assert not any("(+50.0)" in cell for row in table_one(arms).rows for cell in row)
     write_comparison(read_runs([folder]), tmp_path / "out")
 
 
@@ -138,3 +143,45 @@ def test_runs_on_recorded_data_show_errors_of_their_actions(runs, tmp_path, caps
     text = (tmp_path / "out" / "report.md").read_text()
     assert "| cups | new cameras | 5°, 5 cm off | 0.40 [0.40, 0.40] | 2 |" in text
     assert "0.90" not in text
+
+
+def test_an_image_only_run_of_another_network_is_no_twin(tmp_path):
+    make_run(tmp_path / "none", rate=0.25, conditioning="none")  # the twin of keypoints
+    make_run(tmp_path / "late", rate=0.75, conditioning="late")
+    write_comparison(read_runs([tmp_path]), tmp_path / "out")
+    text = (tmp_path / "out" / "report.md").read_text()
+    assert "+50.0" not in text
+    assert "another network (twin of keypoints)" in text
+    assert "--conditioning none --model twin_of=late" in text
+    assert not (tmp_path / "out" / "figures" / "gains.png").exists()
+
+
+def test_memory_stands_beside_generalisation_and_in_no_number_with_it(tmp_path):
+    """Success on cameras that training saw, of an arm and of its twin."""
+    folder, out = tmp_path / "runs", tmp_path / "out"
+    twin = {"conditioning": "none", "model": ("twin_of=late",)}
+    for name, held_out, seen, settings in (
+        ("none", 0.25, 0.5, twin), ("late", 0.5, 1.0, {"conditioning": "late"})
+    ):  # fmt: skip
+        made = make_run(folder / name, rate=seen, split="train", **settings)
+        rows = made / "eval" / "rows.jsonl"
+        seen_rows = rows.read_text()
+        shutil.rmtree(made)
+        make_run(made, rate=held_out, **settings)
+        rows.write_text(rows.read_text() + seen_rows)
+    assert exit_code("report", folder, "--out", out) == 0
+    text = (out / "report.md").read_text()
+    (line,) = [row for row in text.splitlines() if "| late |" in row and "100.0 [" in row]
+    cells = [cell.strip() for cell in line.strip("|").split("|")]
+    assert cells[4].startswith("100.0 [")
+    assert cells[6].startswith("50.0 [")
+    assert cells[8].startswith("-50.0 [")
+    assert cells[9].startswith("+50.0 [")
+    gains = [row for row in text.splitlines() if "its twin" in row]
+    assert not any("100.0" in row for row in gains)
+    assert all("| 8 |" in row for row in gains)  # pairs, of held-out cameras alone
+    # The report keeps both, and says the same when it is read again.
+    assert exit_code("report", out, "--out", tmp_path / "again") == 0
+    assert (tmp_path / "again" / "report.md").read_text() == text
+    with pytest.raises(ConfigError, match="would be lost"):
+        write_comparison(read_runs([folder]), out)

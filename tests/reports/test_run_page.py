@@ -85,6 +85,16 @@ def test_only_held_out_pairs_of_the_newest_checkpoint_are_the_result(run):
     assert "100.0 %" in text[text.index("Success of each checkpoint") :]
 
 
+def test_what_was_seen_in_training_is_no_part_of_the_result(run):
+    rows = [*evaluation([1] * 10 + [0] * 40), *evaluation([1] * 45 + [0] * 5, split="train")]
+    write_lines(run / "eval" / "rows.jsonl", rows)
+    text = " ".join(Page(write_report(run)).text.split())
+    assert text.count("90.0 %") == 1
+    assert "On cameras that training saw 90.0 %" in text
+    assert "at step 6,000: memory, no result" in text
+    assert text.index("20.0 %") < text.index("90.0 %")
+
+
 def test_run_that_has_not_been_evaluated(tmp_path):
     (tmp_path / "config.json").write_text(
         to_json(resolve(TrainConfig(steps=6000), accelerator=False))

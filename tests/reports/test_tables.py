@@ -7,7 +7,14 @@ from packs import foreign
 
 from jaxcam.reports import paper
 from jaxcam.reports.arms import group
-from jaxcam.reports.tables import foreign_table, gains_table, paper_value, runs_table, table_one
+from jaxcam.reports.tables import (
+    foreign_table,
+    gains_table,
+    paper_value,
+    runs_table,
+    table_one,
+    without_twins,
+)
 from jaxcam.results.differences import paired_difference
 
 
@@ -16,7 +23,7 @@ def test_table_one_has_the_papers_numbers_beside_ours(runs):
     assert list(table.head[2:]) == list(paper.TASKS.values())
     assert table.rows[0] == ["ACT", "paper", "33.6", "26.7", "10.8", "29.9", "22.9", "28.7"]
     ours, theirs, conditioned = table.rows[1:4]
-    assert ours[1] == "ours\nlaptop preset"
+    assert ours[1] == "ours\nlaptop preset, twin of late"
     assert re.fullmatch(r"25\.0\n\[\d+\.\d, \d+\.\d\]\nn = 8 of 1500", ours[2])
     assert ours[3:] == ["–"] * 5
     assert theirs[:3] == ["ACT\nw. conditioning", "paper", "60.6 (+27.0)"]
@@ -39,26 +46,50 @@ def test_gains_are_paired(runs):
     none, late = sorted(arms_of(runs), key=lambda a: a.settings["conditioning"] != "none")
     (row,) = gains_table([late, none]).rows
     delta = paired_difference(late.rows, none.rows)
-    assert row[:5] == ["ACT", "Lift", "late", "laptop preset", "+27.0"]
-    assert row[5].startswith(f"{100 * delta.value:+.1f} [")
-    assert row[6:] == [f"= {delta.p_value:.3f}", "8", "8, 8"]
+    assert row[:6] == ["ACT", "Lift", "late", "laptop preset", "its twin", "+27.0"]
+    assert row[6].startswith(f"{100 * delta.value:+.1f} [")
+    assert row[7:] == [f"= {delta.p_value:.3f}", "8", "8, 8"]
 
 
 def test_arms_are_compared_only_where_nothing_else_differs(tmp_path):
-    make_run(tmp_path / "a", conditioning="none")
+    make_run(tmp_path / "a", conditioning="none", model=("twin_of=late",))
     make_run(tmp_path / "b", conditioning="late", steps=2000)
     arms = arms_of(tmp_path)
     assert len(arms) == 2
     assert gains_table(arms) is None
-    assert {arm.label() for arm in arms} == {"laptop preset", "laptop preset, steps 2000"}
+    assert {arm.label() for arm in arms} == {
+        "laptop preset, twin of late", "laptop preset, steps 2000"
+    }  # fmt: skip
     assert all("+" not in row[2] for row in table_one(arms).rows if "ours" in row[1])
 
 
-def test_early_fusion_with_a_new_stem_is_compared_with_the_others(tmp_path):
+def test_each_arm_is_compared_with_its_own_twin_alone(tmp_path):
+    """Early fusion has a stem of its own, which its twin has, too."""
     weights = {"weights": "w/resnet18.pth"}
-    make_run(tmp_path / "a", conditioning="none", **weights)
-    make_run(tmp_path / "b", conditioning="early", stem="new", **weights)
-    assert len(gains_table(arms_of(tmp_path)).rows) == 1
+    early, late = ("twin_of=early",), ("twin_of=late",)
+    make_run(tmp_path / "a", rate=0.5, conditioning="none", model=early, stem="new", **weights)
+    make_run(tmp_path / "b", rate=1.0, conditioning="early", stem="new", **weights)
+    make_run(tmp_path / "c", rate=0.25, conditioning="none", model=late, **weights)
+    make_run(tmp_path / "d", rate=0.5, conditioning="late", **weights)
+    make_run(tmp_path / "e", rate=0.0, conditioning="none", model=early, **weights)
+    make_run(tmp_path / "f", rate=0.75, conditioning="keypoints", **weights)
+    make_run(tmp_path / "g", rate=0.625, conditioning="none", **weights)  # the preset's twin
+    arms = arms_of(tmp_path)
+    gains = {row[2]: row[6].split(" ")[0] for row in gains_table(arms).rows}
+    assert gains == {"early": "+50.0", "late": "+25.0", "keypoints": "+12.5"}
+    named = [row[1] for row in table_one(arms).rows if "twin of" in row[1]]
+    assert [re.findall("twin of ([a-z]+)", line) for line in named] == [["late"], ["keypoints"]]
+
+
+def test_what_stands_beside_other_networks_alone_is_told_how_to_get_its_twin(tmp_path):
+    make_run(tmp_path / "a", conditioning="none")
+    make_run(tmp_path / "b", conditioning="late")
+    make_run(tmp_path / "c", conditioning="keypoints")
+    arms = arms_of(tmp_path)
+    (sentence,) = without_twins(arms)
+    assert sentence.startswith("No gain is shown of ACT, late, in 1 setting: ")
+    assert "(twin of keypoints)" in sentence
+    assert [row[2] for row in gains_table(arms).rows] == ["keypoints"]
 
 
 def test_somebody_elses_policy_stands_in_the_tables_paired(runs):
@@ -71,13 +102,15 @@ def test_somebody_elses_policy_stands_in_the_tables_paired(runs):
         ["", "foreign\ngiven\nsettings of its own"],
     ]
     gains = [row for row in gains_table(arms).rows if row[0] == "Pi"]
-    assert [(row[2], row[5][:5]) for row in gains] == [("given", "+25.0")]
+    assert [(row[2], row[4], row[6][:5]) for row in gains] == [
+        ("given", "image only, not known to be its twin", "+25.0")
+    ]
     beside = [(row[2], row[6], row[7][:5]) for row in foreign_table(arms).rows]
     assert beside == [
         ("none", "ACT, late, laptop preset", "-50.0"),
-        ("", "ACT, none, laptop preset", "+0.0 "),
+        ("", "ACT, none, laptop preset, twin of late", "+0.0 "),
         ("given", "ACT, late, laptop preset", "-25.0"),
-        ("", "ACT, none, laptop preset", "+25.0"),
+        ("", "ACT, none, laptop preset, twin of late", "+25.0"),
         ("given", "–", "–"),  # with another number of cameras its pairs are others
     ]
     assert foreign_table(arms_of(runs)) is None

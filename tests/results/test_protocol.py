@@ -51,6 +51,13 @@ def test_what_counts_and_what_is_lacking():
     assert lacks([[]], small, 40) == ["not evaluated"]
 
 
+def test_what_was_seen_in_training_is_no_result():
+    small = Protocol(seeds=1, checkpoints=1, pairs=3)
+    seen = [replace(row, split="train") for row in rows_at(40, 3)]
+    assert lacks([rows_at(40, 3)], small, 40) == []
+    assert lacks([seen], small, 40) == ["on cameras that training saw: no result"]
+
+
 def test_a_setting_is_trained_as_long_as_the_seed_that_is_least():
     small = Protocol(seeds=2, checkpoints=1, pairs=3)
     assert lacks([rows_at(40, 3), rows_at(20, 3)], small, 40) == ["trained for 20 of 40 updates"]

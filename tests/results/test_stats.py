@@ -10,7 +10,7 @@ from outcomes import column, rows_of
 from jaxcam.results import stats
 from jaxcam.results.differences import paired_difference
 from jaxcam.results.rows import Row
-from jaxcam.results.stats import Estimate, latest_rows, success_rate, wilson
+from jaxcam.results.stats import Estimate, gap_between, latest_rows, success_rate, wilson
 
 
 @pytest.fixture
@@ -216,3 +216,12 @@ def test_interval_covers_the_truth(seeds):
     if seeds > 1:  # pretending that rollouts are independent must be visibly wrong here
         naive = [wilson(e.value * e.n, e.n) for e in estimates]
         assert np.mean([low <= 0.4 <= high for low, high in naive]) < 0.85
+
+
+def test_a_gap_of_two_rates_is_newcombes():
+    """His example: 56 of 70 against 48 of 80, method 10."""
+    a, b = (Estimate(k / n, *wilson(k, n), n, n) for k, n in ((56, 70), (48, 80)))
+    gap, low, high = gap_between(a, b)
+    assert gap == pytest.approx(0.2)
+    assert (low, high) == pytest.approx((0.0524, 0.3339), abs=1e-4)
+    assert gap_between(b, a) == pytest.approx((-gap, -high, -low))

@@ -12,7 +12,9 @@ from jaxcam.config.fields import to_json
 from jaxcam.config.flags import parse
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
+from jaxcam.models import policy_settings
 from jaxcam.runs.grid import progress_of, read_grid
+from jaxcam.runs.identity import identity, network_of
 
 
 def test_a_grid_is_every_combination_once(write):
@@ -37,6 +39,26 @@ def test_model_changes_are_lists_of_lists(write):
     assert models == [("width=64",), ("width=64", "heads=2"), ()]
 
 
+def test_twins_are_the_same_network_image_only(write):
+    """Each is what its own run is but for what it is told, and the preset's own needs no words."""
+    plan = read_grid(
+        write(
+            grid_of({"conditioning": ["keypoints", "late", "none"], "model": [["width=64"]],
+                     "twins": True}, {"conditioning": "late", "twins": True})
+        )
+    )  # fmt: skip
+    got = [(r.config.conditioning, r.config.model) for r in plan.runs]
+    assert got == [
+        ("keypoints", ("width=64",)), ("none", ("width=64",)),
+        ("late", ("width=64",)), ("none", ("width=64", "twin_of=late")),
+        ("late", ()), ("none", ("twin_of=late",)),
+    ]  # fmt: skip
+    for run in plan.runs:
+        network = policy_settings(run.config, ("Lift",)).network
+        assert network == network_of(identity(run.config))
+    assert parse(TrainConfig, plan.runs[3].commands()[0][3:]).model == ("width=64", "twin_of=late")
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -47,6 +69,7 @@ def test_model_changes_are_lists_of_lists(write):
         ("preset: laptop, ", "", "there is no 'preset'"),
         (", seed: [0, 1]", "", "there is no 'seed'"),
         ("[none, late]", "[]", "'conditioning' is an empty list"),
+        ("preset: laptop", "preset: laptop, twins: 2", "'twins' must be true or false, got 2"),
         ("title: small", "protocol: papr", "unknown protocol 'papr', did you mean 'paper'"),
         ("title: small", "protocol: paper", "takes the last 10 checkpoints, but .* keeps 4"),
         ("steps: 40", "steps: many", "steps must be int"),
@@ -88,6 +111,10 @@ def test_the_grids_of_the_repository_are_whole(path):
     for r in plan.runs:
         seeds[r.config.policy].add(r.config.seed)
         assert len(r.steps) == 10
+    ways = {(r.config.policy, network_of(identity(r.config)), r.config.conditioning == "none")
+            for r in plan.runs}  # fmt: skip
+    if any(is_image_only for *_, is_image_only in ways):  # then each has its own twin
+        assert {way[:2] for way in ways if way[2]} == {way[:2] for way in ways if not way[2]}
     assert all(s == ({0} if policy == "smolvla" else {0, 1, 2}) for policy, s in seeds.items())
 
 

@@ -1,20 +1,32 @@
 """Settings of SmolVLA and its presets."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from jaxcam.config.fields import check_least
 from jaxcam.errors import ConfigError
-from jaxcam.models.conditioning import CameraConfig, check_known
+from jaxcam.models.conditioning import VisionConfig, check_known
 from jaxcam.models.losses import PADDINGS
 from jaxcam.models.policy import PolicySpec
 
 MOST_TOKENS = 48
 """Longest prompt SmolVLA takes."""
+HASHED_WORDS = "words"
+"""Instead of a tokenizer's file: a word's number follows from its letters."""
 
 
 @dataclass(frozen=True)
-class SmolVlaConfig(CameraConfig):
-    """Settings of SmolVLA; the defaults are the paper's, as the authors trained it."""
+class SmolVlaConfig(VisionConfig):
+    """Settings of SmolVLA; the defaults are the paper's, as the authors trained it.
+
+    The tower ``siglip`` is SmolVLM2's, whose sizes begin with ``vision_``. With another encoder the
+    policy sees through the one that ACT and Diffusion Policy have, and all ways to tell it its
+    camera are open to it.
+    """
+
+    encoders: ClassVar[tuple[str, ...]] = ("siglip", "small", "resnet18")
+    encoder: str = "siglip"
+    image_scaling: str = "symmetric"
 
     chunk: int = 30
     """Actions predicted at a time."""
@@ -23,7 +35,8 @@ class SmolVlaConfig(CameraConfig):
     prompt: str = ""
     """What the robot is told to do; unless given, the task's own words."""
     tokenizer: str = ""
-    """File tokenizer.json that turns the prompt into tokens."""
+    """File tokenizer.json that turns the prompt into tokens; or `words`, which needs no file and
+    gives each word a number by a hash, for a language model that has learned nothing yet."""
     tokens: tuple[int, ...] = ()
     """The prompt's tokens; unless given, the tokenizer makes them."""
     other_prompts: tuple[str, ...] = ()
@@ -44,6 +57,9 @@ class SmolVlaConfig(CameraConfig):
     """How steps past a demonstration's end count in the loss, see `padded_mean`. Numbers that fill
     an action up count where such steps do. With valid, such steps are zeros before normalisation,
     as in the paper, otherwise copies of the last action."""
+    keyframe_weight: float = 0.0
+    """Weight of the loss on keyframes, which the prefix then has to tell; 0 asks for none. A
+    keyframe is where the grip will be when its command next changes."""
     steps: int = 10
     """Euler steps from noise to actions."""
     drop_proprio: bool = True
@@ -93,7 +109,7 @@ class SmolVlaConfig(CameraConfig):
         check_least(self, 1, "chunk steps state_width image_size patch vision_width vision_layers")
         check_least(self, 1, "vision_heads vision_hidden shuffle vocabulary width layers heads")
         check_least(self, 1, "kv_heads head_dim hidden expert_width expert_hidden")
-        check_least(self, 0, "execute action_width")
+        check_least(self, 0, "execute action_width keyframe_weight")
         check_known(
             self,
             attention=("joint", "interleaved"),
@@ -101,11 +117,8 @@ class SmolVlaConfig(CameraConfig):
             train=("all", "expert"),
             padding=PADDINGS,
         )
-        if self.network not in (known := ("none", "token", "late")):
-            raise ConfigError(
-                f"SmolVLA has no conditioning '{self.network}', only {', '.join(known)}: its "
-                "pretrained tower takes three channels and hands on every patch."
-            )
+        if self.encoder == "siglip":
+            self._check_tower()
         if self.image_size % (self.patch * self.shuffle):
             raise ConfigError(
                 f"image_size {self.image_size} is not a multiple of patch {self.patch} times "
@@ -127,6 +140,20 @@ class SmolVlaConfig(CameraConfig):
                     f"Tokens must be 0 to {self.vocabulary - 1}, got {tokens}. Is the tokenizer "
                     "that of the vision language model?"
                 )
+
+    def _check_tower(self) -> None:
+        """Refuse what the pretrained tower cannot have."""
+        if self.network not in (known := ("none", "token", "late")):
+            raise ConfigError(
+                f"SmolVLA has no conditioning '{self.network}', only {', '.join(known)}: its "
+                "pretrained tower takes three channels and hands on every patch. --preset laptop "
+                "has a tower of its own and every conditioning."
+            )
+        if (self.pool, self.image_scaling) != ("grid", "symmetric"):
+            raise ConfigError(
+                "SmolVLA's pretrained tower hands on a grid of pictures scaled to -1..1: pool must "
+                f"be grid and image_scaling symmetric, got {self.pool} and {self.image_scaling}."
+            )
 
     def crosses(self, layer: int) -> bool:
         """Whether a layer of the expert only reads the prefix."""
@@ -150,6 +177,30 @@ SMOLVLA_PRESETS: dict[str, SmolVlaConfig] = {
         padding="counted",
         drop_proprio=False,
         action_width=32,
+    ),
+    "laptop": SmolVlaConfig(
+        conditioning="keypoints",
+        twin_of="keypoints",
+        encoder="small",
+        encoder_width=32,
+        encoder_depth=2,
+        pool="keypoints",
+        tokenizer=HASHED_WORDS,
+        chunk=16,
+        execute=8,
+        mask="blocks",
+        keyframe_weight=0.9,
+        drop_proprio=False,
+        vocabulary=2048,
+        width=192,
+        layers=3,
+        heads=6,
+        kv_heads=2,
+        head_dim=32,
+        hidden=384,
+        expert_width=128,
+        expert_hidden=256,
+        remat=False,
     ),
     "tiny": SmolVlaConfig(
         ray_convention="authors",

@@ -15,7 +15,7 @@ from flax import nnx
 from jax.typing import DTypeLike
 
 from jaxcam.errors import ConfigError
-from jaxcam.models.fusion import camera_poses, grid_rays
+from jaxcam.models.fusion import Vision, camera_poses, grid_rays
 from jaxcam.models.layers import linear
 from jaxcam.models.policy import Obs, PolicySpec
 from jaxcam.models.resnet import RayEncoder, space_to_depth
@@ -37,6 +37,8 @@ class Prefix(NamedTuple):
     contexts: Contexts
     is_there: jax.Array | None
     """[B, N] False at tokens that only fill a prompt up; None where all have one prompt."""
+    summary: jax.Array
+    """The last token, behind all layers, [B, width]."""
 
 
 LayerBlock = tuple[Layer, ...]
@@ -73,6 +75,22 @@ def _standardised(x: jax.Array) -> jax.Array:
     return y.astype(x.dtype)
 
 
+class OwnTower(nnx.Module):
+    """What the other policies see through, as tokens of the language model."""
+
+    def __init__(self, config: SmolVlaConfig, spec: PolicySpec, *, rngs: nnx.Rngs):
+        self.see = Vision(config, spec, rngs=rngs)
+        self.connect = linear(self.see.width, config.width, rngs=rngs, dtype=config.dtype)
+        count = spec.views * self.see.tokens
+        self.position = nnx.Param(NORMAL(rngs.params(), (count, config.width)))
+
+    def __call__(self, obs: Obs) -> jax.Array:
+        """Tokens of all views in a row, [B, V * tokens, width]."""
+        tokens = self.connect(self.see(obs))
+        tokens = tokens.reshape(len(tokens), -1, tokens.shape[-1])
+        return tokens + self.position[...].astype(tokens.dtype)
+
+
 class SmolVla(nnx.Module):
     """The network, from raw observations and noisy actions to velocities."""
 
@@ -80,18 +98,13 @@ class SmolVla(nnx.Module):
         dtype, width, expert = config.dtype, config.width, config.expert_width
         self.config = config
         self.turn = 2 if config.attention == "interleaved" else 1
-        self.vision = Siglip(
-            config.image_size,
-            config.patch,
-            config.vision_width,
-            config.vision_layers,
-            config.vision_heads,
-            config.vision_hidden,
-            rngs=rngs,
-            dtype=dtype,
-        )
-        self.connector = dense(
-            config.vision_width * config.shuffle**2, width, rngs=rngs, dtype=dtype
+        siglip = config.encoder == "siglip"
+        self.tower = None if siglip else OwnTower(config, spec, rngs=rngs)
+        self.vision = _siglip(config, rngs) if siglip else None
+        self.connector = (
+            dense(config.vision_width * config.shuffle**2, width, rngs=rngs, dtype=dtype)
+            if siglip
+            else None
         )
         self.embed = nnx.Embed(
             config.vocabulary, width, embedding_init=NORMAL, dtype=dtype, rngs=rngs
@@ -114,10 +127,10 @@ class SmolVla(nnx.Module):
             for i in range(config.layers)
         )
         self.norm = rms_norm(expert, rngs=rngs, dtype=dtype)
-        late, cells = config.network == "late", -(-spec.height // 32)
+        cells = -(-spec.height // 32)
         self.fusion = (
             RayFusion(config.vision_width, self.vision.grid, cells, rngs=rngs, dtype=dtype)
-            if late
+            if self.vision is not None and config.network == "late"
             else None
         )
         token = config.network == "token"
@@ -127,6 +140,10 @@ class SmolVla(nnx.Module):
         self.time_in = linear(2 * expert, expert, rngs=rngs, dtype=dtype)
         self.time_out = linear(expert, expert, rngs=rngs, dtype=dtype)
         self.action_out = linear(expert, config.actions(spec), rngs=rngs, dtype=jnp.float32)
+        keyframes = 3 * spec.chunk if config.keyframe_weight else 0
+        self.keyframe = (
+            linear(width, keyframes, rngs=rngs, dtype=jnp.float32) if keyframes else None
+        )
 
     def prefix(self, obs: Obs, state: jax.Array) -> Prefix:
         """Read images, cameras, the prompt and the normalised state [B, state_width]."""
@@ -198,15 +215,18 @@ class SmolVla(nnx.Module):
             return x, tuple(contexts)
 
         both = list(zip(self._turns(self.text), self._turns(self.expert), strict=True))
-        return Prefix(through(both, step, x, remat=self.config.remat)[1], is_there)
+        x, contexts = through(both, step, x, remat=self.config.remat)
+        return Prefix(contexts, is_there, x[:, -1])
 
     def _turns(self, layers: Sequence[Layer]) -> list[LayerBlock]:
         """Layers in groups that look alike: single ones, or pairs if every other one differs."""
         return [tuple(layers[i : i + self.turn]) for i in range(0, len(layers), self.turn)]
 
     def _images(self, obs: Obs) -> jax.Array:
-        """Tokens of every picture, [B * V, tokens, width]."""
+        """Tokens of every picture, [B * V, tokens, width] or [B, V * tokens, width]."""
         config = self.config
+        if self.tower is not None:
+            return self.tower(obs)
         pictures = obs["image"].reshape(-1, *obs["image"].shape[2:])
         x = pictures.astype(jnp.float32) / 127.5 - 1
         shape = (x.shape[0], config.image_size, config.image_size, 3)
@@ -221,6 +241,11 @@ class SmolVla(nnx.Module):
         grid = self.vision.grid
         x = space_to_depth(x.reshape(-1, grid, grid, x.shape[-1]), config.shuffle)
         return self.connector(x.reshape(x.shape[0], -1, x.shape[-1]))
+
+
+def _siglip(config: SmolVlaConfig, rngs: nnx.Rngs) -> Siglip:
+    sizes = config.image_size, config.patch, config.vision_width, config.vision_layers
+    return Siglip(*sizes, config.vision_heads, config.vision_hidden, rngs=rngs, dtype=config.dtype)
 
 
 def _joint_layer(

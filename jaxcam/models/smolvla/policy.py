@@ -6,7 +6,11 @@ import jax.numpy as jnp
 from jaxcam.errors import ConfigError
 from jaxcam.models.conditioning import with_conditioning
 from jaxcam.models.losses import padded_mean, repeat_ends
-from jaxcam.models.normalization import action_deviation, proprio_deviation
+from jaxcam.models.normalization import (
+    action_deviation,
+    keyframe_deviation,
+    proprio_deviation,
+)
 from jaxcam.models.policy import (
     Batch,
     Family,
@@ -74,9 +78,16 @@ def make_smolvla(config: SmolVlaConfig, spec: PolicySpec, stats: Stats) -> Polic
         time = draw_time(time_key, action.shape[0])
         x, target = line(action, noise, time)
         net = network(params)
-        predicted = net.velocity(net.prefix(batch, state(batch)), x, time)
-        value = velocity_loss(config, predicted, target, is_pad, spec.action_dim)
-        return value, {"loss": value}
+        prefix = net.prefix(batch, state(batch))
+        predicted = net.velocity(prefix, x, time)
+        total = velocity = velocity_loss(config, predicted, target, is_pad, spec.action_dim)
+        if net.keyframe is None:
+            return total, {"loss": total}
+        keyframe = keyframe_deviation(stats).normalised(batch["keyframe"])
+        told = net.keyframe(prefix.summary.astype(jnp.float32)).reshape(keyframe.shape)
+        error = padded_mean(jnp.abs(told - keyframe), is_pad, "valid")
+        total += config.keyframe_weight * error
+        return total, {"loss": total, "velocity": velocity, "keyframe": error}
 
     def act(params: Params, obs: Obs, key: Key) -> jax.Array:
         net = network(params)
@@ -99,7 +110,7 @@ def _filled(x: jax.Array, width: int) -> jax.Array:
 def _check_fit(config: SmolVlaConfig, spec: PolicySpec) -> None:
     if not config.tokens:
         raise ConfigError(NO_TOKENS)
-    if spec.height != spec.width:
+    if config.encoder == "siglip" and spec.height != spec.width:
         raise ConfigError(f"SmolVLA takes square images, got {spec.height}x{spec.width}.")
     if spec.proprio_dim > config.state_width:
         raise ConfigError(

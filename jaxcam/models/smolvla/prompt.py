@@ -1,15 +1,17 @@
 """Prompts as the tokens that SmolVLA reads."""
 
+import re
+import zlib
 from collections.abc import Sequence
 from dataclasses import replace
 
 from jaxcam.errors import ConfigError
-from jaxcam.models.smolvla.config import SmolVlaConfig
+from jaxcam.models.smolvla.config import HASHED_WORDS, SmolVlaConfig
 
 NO_TOKENS = (
     "SmolVLA reads a prompt, and needs SmolVLM2's tokenizer for it. Download tokenizer.json of "
     "HuggingFaceTB/SmolVLM2-500M-Video-Instruct from huggingface.co, pip install 'jaxcam[smolvla]' "
-    "and pass the file: --model tokenizer=path/to/tokenizer.json"
+    "and pass the file: --model tokenizer=path/to/tokenizer.json. --preset laptop needs none."
 )
 
 
@@ -38,8 +40,23 @@ def tokenize(prompt: str, file: str) -> tuple[int, ...]:
     return tuple(tokenizer.encode(prompt.rstrip("\n") + "\n").ids)
 
 
+def hashed_words(prompt: str, vocabulary: int) -> tuple[int, ...]:
+    """A number for each word, which follows from its letters, and 0 at the end.
+
+    There is no list of words to keep: a word has one number in every run, so that what was learned
+    of it on one task can begin another, and a dataset may ask for things that no task here does.
+    Two words have one number once in `vocabulary` times; no two of the tasks' prompts do.
+
+    Args:
+        prompt: The words; case and punctuation do not count.
+        vocabulary: Numbers that there are.
+    """
+    words = re.findall(r"\w+", prompt.lower())
+    return (*(1 + zlib.crc32(word.encode()) % (vocabulary - 1) for word in words), 0)
+
+
 def with_prompts(config: SmolVlaConfig, prompts: Sequence[str]) -> SmolVlaConfig:
-    """The settings with their prompts as tokens, if they name a tokenizer's file.
+    """The settings with their prompts as tokens, if they name a tokenizer.
 
     Args:
         config: Settings. A prompt in them counts more than the other ones, tokens more than both.
@@ -58,11 +75,15 @@ def with_prompts(config: SmolVlaConfig, prompts: Sequence[str]) -> SmolVlaConfig
         )
     if config.tokens or not config.tokenizer:
         return config
-    first, *others = [config.prompt] if config.prompt else prompts
+    first, *others = prompts = [config.prompt] if config.prompt else prompts
+    if config.tokenizer == HASHED_WORDS:
+        tokens, *more = (hashed_words(prompt, config.vocabulary) for prompt in prompts)
+    else:
+        tokens, *more = (tokenize(prompt, config.tokenizer) for prompt in prompts)
     return replace(
         config,
         prompt=first,
-        tokens=tokenize(first, config.tokenizer),
+        tokens=tokens,
         other_prompts=tuple(others),
-        other_tokens=tuple(tokenize(prompt, config.tokenizer) for prompt in others),
+        other_tokens=tuple(more),
     )

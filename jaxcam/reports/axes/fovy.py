@@ -12,15 +12,14 @@ from matplotlib.lines import Line2D
 
 from jaxcam.config.conditions import FOVY, Span, span
 from jaxcam.reports import paper
-from jaxcam.reports.arms import Arm
+from jaxcam.reports.arms import Arm, context
 from jaxcam.reports.document import Block, Heading, Picture, Table
 from jaxcam.reports.names import drawn
 from jaxcam.reports.study_figures import colour_of, panel_grid
 from jaxcam.reports.style import FAINT, percent, save, styled
-from jaxcam.reports.tables import by_task, context
-from jaxcam.results.differences import unpaired_difference
+from jaxcam.reports.tables import by_task
 from jaxcam.results.rows import Row
-from jaxcam.results.stats import Estimate, success_rate
+from jaxcam.results.stats import Estimate, gap_between, success_rate
 from jaxcam.sim import make_task
 
 _WIDEST_BIN = 10.0
@@ -42,9 +41,8 @@ class FovyCurve:
     @property
     def name(self) -> str:
         """What tells it from others of its panel."""
-        s = self.arm.settings
-        way = "image only" if s["conditioning"] == "none" else s["conditioning"]
-        return f"{way}, extrinsics only" if s.get("rays_from") == "nominal" else way
+        nominal = self.arm.setting("rays_from") == "nominal"
+        return f"{self.arm.way}, extrinsics only" if nominal else self.arm.way
 
     @property
     def rows(self) -> list[Row]:
@@ -125,7 +123,7 @@ def fovy_blocks(arms: Sequence[Arm], out: Path) -> list[Block]:
 
 def _line_of(curve: FovyCurve) -> list[str]:
     s, inside, outside = curve.arm.settings, curve.within(*curve.trained), curve.outside()
-    value, low, high = (100 * x for x in unpaired_difference(inside, outside))
+    value, low, high = (100 * x for x in gap_between(inside, outside))
     gap = f"{value:+.1f} [{low:+.1f}, {high:+.1f}]" if inside.n and outside.n else "–"
     rates = [
         f"{100 * e.value:.1f} [{100 * e.low:.1f}, {100 * e.high:.1f}]" if e.n else "–"

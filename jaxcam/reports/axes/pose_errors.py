@@ -11,12 +11,12 @@ from matplotlib.lines import Line2D
 
 from jaxcam.config.conditions import Span, degrees_and_cm
 from jaxcam.reports import paper
-from jaxcam.reports.arms import Arm
+from jaxcam.reports.arms import Arm, ImageOnlyArms, context
 from jaxcam.reports.document import Block, Heading, Picture, Table
 from jaxcam.reports.names import drawn
 from jaxcam.reports.study_figures import colour_of, panel_grid
 from jaxcam.reports.style import GREY, INK, RATE, percent, save, styled
-from jaxcam.reports.tables import NONE, baselines, by_task, context, image_only_context
+from jaxcam.reports.tables import NONE, by_task
 from jaxcam.results.halving import halving_error
 
 _AXES = {
@@ -70,7 +70,7 @@ def error_curves(arms: Sequence[Arm]) -> list[ErrorCurve]:
     Args:
         arms: All there are.
     """
-    base = baselines([arm for arm in arms if not any(map(arm.settings.get, _FIELDS))])
+    base = ImageOnlyArms([arm for arm in arms if not any(map(arm.settings.get, _FIELDS))])
     curves: list[ErrorCurve] = []
     for field in _FIELDS:
         groups: dict[str, dict[Span, Arm]] = {}
@@ -80,8 +80,8 @@ def error_curves(arms: Sequence[Arm]) -> list[ErrorCurve]:
                 groups.setdefault(context(arm, field), {})[at] = arm
         for levels in groups.values():
             if len(levels) > 1 and (0.0, 0.0) in levels:
-                twin = base.get(image_only_context(levels[0.0, 0.0]))
-                curves.append(ErrorCurve(field, levels, twin))
+                other = base.of(levels[0.0, 0.0])
+                curves.append(ErrorCurve(field, levels, other and other.arm))
     return curves
 
 

@@ -1,9 +1,12 @@
 """A results folder: `rows.jsonl`, a line a rollout, and `runs.json` beside it."""
 
 import json
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+from jaxcam.config.names import EvaluationSplit, names_of
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.files.jsonl import line_of, read_jsonl
 from jaxcam.files.locks import exclusive
@@ -73,17 +76,17 @@ def check_replaces(folder: Path, runs: Sequence[Run], flag: str = "--out") -> No
             f"Choose another {flag}."
         )
     # Settings that are newer than the report are not in it: the name and the seed do, too.
-    new = {key: len(run.rows) for run in runs for key in (run_key(run), (run.name, run.seed))}
-    kept = [run for split in ("test", "validation") for run in read_results(folder, split)]
-    same = {row.split for run in runs for row in run.rows}
+    new: Counter[Any] = Counter(
+        (key, row.split)
+        for run in runs
+        for row in run.rows
+        for key in (run_key(run), (run.name, run.seed))
+    )
     lost = [
         run.name
-        for run in kept
-        if run.rows
-        and (
-            run.rows[0].split not in same
-            or max(new.get(run_key(run), 0), new.get((run.name, run.seed), 0)) < len(run.rows)
-        )
+        for split in names_of(EvaluationSplit)
+        for run in read_results(folder, split)
+        if max(new[run_key(run), split], new[(run.name, run.seed), split]) < len(run.rows)
     ]
     if lost:
         raise ConfigError(
@@ -106,7 +109,7 @@ def read_results(folder: Path, split: str | None) -> list[Run]:
 
     Args:
         folder: Of the results.
-        split: Which pairs: "test" or "validation"; all when None.
+        split: Which pairs, such as "test"; all when None.
 
     Raises:
         DatasetError: One of its files is damaged.

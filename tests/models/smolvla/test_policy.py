@@ -15,6 +15,7 @@ from jaxcam.errors import ConfigError
 from jaxcam.models import PolicySpec, make_policy
 from jaxcam.models.conditioning import with_conditioning
 from jaxcam.models.smolvla.config import SMOLVLA_PRESETS
+from jaxcam.models.smolvla.prompt import with_prompts
 from jaxcam.runs.identity import resolve
 from jaxcam.training.state import make_optimizer
 
@@ -75,6 +76,30 @@ def test_conditioned_policy_looks_at_the_cameras_and_its_twin_does_not(condition
     assert not np.allclose(act(params, batch, key), act(params, moved(batch), key))
     np.testing.assert_array_equal(blind(params, batch, key), blind(params, moved(batch), key))
     assert act(params, batch, key).shape == (2, 4, 3)
+
+
+@pytest.mark.parametrize("conditioning", ["token", "early", "late", "keypoints"])
+def test_an_own_tower_has_every_conditioning_and_any_shape(conditioning):
+    """The preset for a laptop, with pictures that are no squares."""
+    small = {"chunk": 4, "encoder_width": 4, "keypoints": 2, "width": 16, "layers": 1, "heads": 2,
+             "kv_heads": 1, "head_dim": 8, "hidden": 16, "expert_width": 12,
+             "expert_hidden": 16}  # fmt: skip
+    laptop = with_prompts(replace(SMOLVLA_PRESETS["laptop"], **small), ("Lift the cube",))
+    config = with_conditioning(laptop, conditioning)
+    spec = PolicySpec(3, 5, 2, 24, 32, 4)
+    subject, twin = (make_policy(c, spec, make_stats())
+                     for c in (config, with_conditioning(config, "none")))  # fmt: skip
+    params, rng = start(subject), np.random.default_rng(0)
+    batch = {k: np.repeat(v, 2, 1) if k in ("K", "base_from_camera") else v
+             for k, v in make_batch(size=32).items()}  # fmt: skip
+    batch["image"] = rng.integers(0, 256, (2, 2, 24, 32, 3), dtype=np.uint8)
+    assert jax.tree.map(jnp.shape, params) == jax.tree.map(jnp.shape, shapes(twin))
+    act, blind, key = jit(subject.act), jit(twin.act), jax.random.key(1)
+    assert not np.allclose(act(params, batch, key), act(params, moved(batch), key))
+    np.testing.assert_array_equal(blind(params, batch, key), blind(params, moved(batch), key))
+    loss, metrics = jit(lambda p: subject.loss(p, batch, None))(params)
+    total = metrics["velocity"] + config.keyframe_weight * metrics["keyframe"]
+    np.testing.assert_allclose(loss, total, rtol=1e-5)
 
 
 def test_padded_actions_change_no_loss_of_the_paper():

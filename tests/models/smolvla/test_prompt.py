@@ -8,7 +8,7 @@ from jaxcam.config.names import TaskName, names_of
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
 from jaxcam.models.smolvla.config import SMOLVLA_PRESETS, SmolVlaConfig
-from jaxcam.models.smolvla.prompt import tokenize, with_prompts
+from jaxcam.models.smolvla.prompt import hashed_words, tokenize, with_prompts
 from jaxcam.pipeline.sources import source_of
 from jaxcam.pipeline.train import policy_of
 from jaxcam.runs.identity import resolve
@@ -73,6 +73,23 @@ def test_several_prompts_are_told_by_number(tokenizer):
     assert (config.tokens, *config.other_tokens) == tuple(tokenize(p, file) for p in prompts)
     one = with_prompts(SmolVlaConfig(tokenizer=file, prompt="Move the can"), prompts)
     assert (one.prompt, one.other_prompts, one.other_tokens) == ("Move the can", (), ())
+
+
+def test_words_without_a_file_have_numbers_of_their_own():
+    """Of all tasks' prompts no two words share one, and every run gives a word the same."""
+    config = SMOLVLA_PRESETS["laptop"]
+    prompts = [make_task(task).prompt for task in names_of(TaskName)]
+    words = {word for prompt in prompts for word in prompt.lower().split()}
+    numbers = {word: hashed_words(word, config.vocabulary) for word in words}
+    assert len({*numbers.values()}) == len(words)
+    assert all(len(n) == 2 and 0 < n[0] < config.vocabulary and n[1] == 0 for n in numbers.values())
+    several = with_prompts(config, prompts)
+    assert (several.prompt, *several.other_prompts) == tuple(prompts)
+    lift, push = (prompts.index(p) for p in ("Lift the cube", "Push the cube to the target"))
+    tokens = (several.tokens, *several.other_tokens)
+    assert tokens[lift][1:3] == tokens[push][1:3]  # "the cube"
+    assert tokens[lift] == hashed_words("LIFT, the  cube!\n", config.vocabulary)
+    assert with_prompts(config, ["Lift the cube"]).tokens == tokens[lift]
 
 
 def test_tokens_of_one_prompt_do_for_several_only_where_all_are_one():

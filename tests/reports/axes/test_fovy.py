@@ -8,6 +8,7 @@ from run_rows import evaluation
 from jaxcam.reports.axes.fovy import fovy_blocks, fovy_curves
 
 COUNT = 100
+TWIN = {"late": {}, "none": {"model": ("twin_of=late",)}}
 
 
 @pytest.fixture
@@ -25,14 +26,14 @@ def runs(tmp_path):
         rows = [row.to_json() | {"fovy_deg": angle, "pair_sha": f"{row.pair:016x}"}
                 for row, angle in zip(rows, fovy, strict=True)]  # fmt: skip
         make_run(tmp_path / name, conditioning=way, rays_from=rays, fovy="35:55",
-                 eval_fovy="25:75", pairs=0, rows=rows)  # fmt: skip
+                 eval_fovy="25:75", pairs=0, rows=rows, **TWIN[way])  # fmt: skip
     return tmp_path
 
 
 def test_inside_and_outside_are_told_apart(runs):
     (panel,) = fovy_curves(arms_of(runs))
     by_name = {curve.name: curve for curve in panel}
-    assert set(by_name) == {"late", "late, extrinsics only", "image only"}
+    assert set(by_name) == {"late", "late, extrinsics only", "twin of late"}
     alone = by_name["late, extrinsics only"]
     assert alone.trained == (35, 55)
     assert alone.within(*alone.trained).value == 1

@@ -25,7 +25,8 @@ def runs(tmp_path):
     rows = [r for at, rate in levels.items() for r in told_wrong("late", rate, eval_pose_noise=at)]
     rows += told_wrong("late", 0.5, eval_pose_drift="1,1")
     make_run(tmp_path / "late", conditioning="late", rate=0.8, pairs=PAIRS, rows=rows)
-    make_run(tmp_path / "none", conditioning="none", rate=0.1, pairs=PAIRS)
+    twin = {"conditioning": "none", "model": ("twin_of=late",)}
+    make_run(tmp_path / "none", rate=0.1, pairs=PAIRS, **twin)
     return tmp_path
 
 
