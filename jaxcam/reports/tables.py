@@ -21,16 +21,15 @@ from jaxcam.runs.identity import plain
 
 NONE = "–"
 _NOTHING = (math.nan, math.nan)
-# Settings that a task brings with it, so that they differ between the columns of Table I.
-_OF_TASK = ("n", "m", "views", "steps")
+_OF_TASK = ("n", "m", "views", "steps")  # which tasks bring, so that Table I's columns differ
 
 
 def twins_of(arms: Sequence[Arm]) -> list[tuple[Arm, ImageOnly]]:
     """Every conditioned arm that has rollouts, with the image-only arm that it is compared with."""
     image_only = ImageOnlyArms(arms)
-    clean = [arm for arm in arms if not arm.is_told_wrong]
-    pairs = ((arm, image_only.of(arm)) for some in by_task(clean).values() for arm in some)
-    return [(a, b) for a, b in pairs if b and a.estimate.n and b.arm.estimate.n]
+    clean = by_task(arm for arm in arms if arm.estimate.n and not arm.is_told_wrong)
+    pairs = ((arm, image_only.of(arm)) for some in clean.values() for arm in some)
+    return [(a, b) for a, b in pairs if b and b.arm.estimate.n]
 
 
 def without_twins(arms: Sequence[Arm]) -> list[str]:
