@@ -257,6 +257,19 @@ def check_action_frame(action_space: str | None, action_frame: str) -> None:
         )
 
 
+def check_ray_frame(ray_frame: str, action_frame: str, conditioning: str | None) -> None:
+    """Refuses cameras told in a frame other than the base's to what counts on that one."""
+    for what, counts in (
+        ("action_frame camera", action_frame == "camera"),
+        ("conditioning warp", conditioning == "warp"),
+    ):
+        if counts and ray_frame != "base":
+            raise ConfigError(
+                f"{what} needs the cameras' poses in the robot's base: ray_frame base, not "
+                f"{ray_frame}."
+            )
+
+
 def check_most(config: SettingsRecord, most: float, fields: str) -> None:
     """Refuses settings above a bound."""
     for field in fields.split():

@@ -23,6 +23,13 @@ ActionMeaning = Literal["unknown", "eef_abs", "eef_delta", "joint_abs", "joint_d
 """What the actions of a recorded dataset are, as far as anybody says."""
 Rotations = Literal["nominal", "world"]
 CommandSource = Literal["commands", "deltas", "absolute", "states"]
+PoseNoisePer = Literal["sample", "episode", "camera"]
+"""What an error of the poses is drawn anew for in training."""
+RaysFrom = Literal["true", "nominal"]
+"""Whether the intrinsics that a policy is told are those of its cameras, or the task's usual."""
+RayFrame = Literal["base", "world", "grip", "about_grip", "about_table"]
+"""Where the rays are that a policy is told: in the axes and about the origin of one of three
+frames, or in the base's axes with moments about another point."""
 ScheduleName = Literal["constant", "cosine", "cosine_from_start"]
 OptimizerName = Literal["adamw", "adam"]
 Precision = Literal["float32", "bfloat16"]

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from jaxcam.config.names import RayFrame
 from jaxcam.config.sizes import size_name
 from jaxcam.config.train import TrainConfig
 from jaxcam.data.demos import Demo, Demos
@@ -19,9 +20,9 @@ from jaxcam.models.action_frame import seen_actions, seen_points
 from jaxcam.models.normalization import STD_FLOOR
 from jaxcam.models.policy import Batch
 from jaxcam.rays import invert
-from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.rays.rotations import rotvec_from_matrix
 from jaxcam.sim.actions import encode, is_absolute, is_joint
+from jaxcam.sim.ray_frames import frame_from_base, grip_in_base, in_ray_frame
 from jaxcam.sim.world import World
 
 PREFETCH = 4
@@ -74,6 +75,12 @@ class Dataset:
     the same in all."""
     axes: ActionAxes | None = None
     """How cameras see the actions, where policies predict them so: statistics are then of that."""
+    ray_frames: np.ndarray | None = field(default=None, repr=False)
+    """Before each action, the frame that policies are told their cameras in, from the base
+    [D, T, 4, 4]; None is the base."""
+    named: bool = False
+    """Whether batches say of what they are: `demo` [B], and `camera` [B, V], the row of each view's
+    first picture; errors of calibrations go by these."""
     ordered: bool = False
     """Whether the cameras of a sample stand in the order of their window, as cameras do that have
     names, or in any, as the paper's, which differ in nothing but their pose."""
@@ -122,10 +129,17 @@ class Dataset:
             "base_from_camera": self.base_from_camera[cameras],
             "proprio": self.proprio[demo[:, None], times],
         }
+        if self.ray_frames is not None:
+            of_steps = self.ray_frames[demo[:, None], times][:, :, None]
+            observed["base_from_camera"] = in_ray_frame(observed["base_from_camera"], of_steps)
         if self.distortion is not None:
             observed["distortion"] = self.distortion[cameras]
         if obs_steps == 1:
             observed = {name: values[:, 0] for name, values in observed.items()}
+        if self.named:
+            first = np.zeros(1, int)
+            rows = [self._cameras(d, first, v)[0] for d, v in zip(demo, views, strict=True)]
+            observed |= {"demo": demo.astype(np.int32), "camera": np.array(rows, np.int32)}
         if self.instruction is not None:
             observed["instruction"] = self.instruction[demo]
         targets = {
@@ -176,6 +190,7 @@ def make_dataset(
     pictures: Pictures,
     space: str,
     scene: World,
+    ray_frame: RayFrame = "base",
 ) -> Dataset:
     """Turns demonstrations into arrays, their commands into actions of a space.
 
@@ -184,9 +199,10 @@ def make_dataset(
         pictures: Of it.
         space: Of the actions.
         scene: Where the demonstrations were given.
+        ray_frame: In which frame policies are told their cameras.
     """
     longest = int(pictures.layout.lengths.max())
-    actions, keyframes, proprio = [], [], []
+    actions, keyframes, proprio, ray_frames = [], [], [], []
     for demo in demos.episodes:
         moves = demo_actions(demo, space, scene)
         state = scene.proprio(demo.qpos, demo.eef_pos)[:-1]
@@ -194,17 +210,24 @@ def make_dataset(
         actions.append(np.pad(moves, pad))
         keyframes.append(np.pad(_keyframes(demo, scene), pad))
         proprio.append(np.pad(state, pad))
+        if ray_frame != "base":
+            grip = demo.world_from_grip()[:-1]
+            local = grip_in_base(scene.world_from_base, grip[:, :3, 3], grip[:, :3, :3])
+            moves_on = ((0, longest - demo.length), (0, 0), (0, 0))
+            ray_frames.append(np.pad(frame_from_base(ray_frame, scene, *local), moves_on, "edge"))
     cameras = invert(scene.world_from_base) @ demos.header.world_from_camera
     height, width = pictures.rgb.shape[1:3]
-    K = intrinsics(demos.header.fovy_deg, height, width)
+    lenses = demos.header.distortion
     return Dataset(
         pictures=pictures,
-        K=np.broadcast_to(K, (len(cameras), 3, 3)).astype(np.float32),
+        K=demos.header.intrinsics(height, width).astype(np.float32),
         base_from_camera=cameras.astype(np.float32),
         actions=np.stack(actions).astype(np.float32),
         keyframes=np.stack(keyframes).astype(np.float32),
         proprio=np.stack(proprio).astype(np.float32),
+        distortion=None if lenses is None else lenses.astype(np.float32),
         windows=[d.cameras for d in demos.episodes],
+        ray_frames=np.stack(ray_frames) if ray_frames else None,
         train=len(demos.train),
         fingerprint=f"{demos.fingerprint}-{size_name(height, width)}px-"
         f"{_IN_FINGERPRINTS.get(space, space)}",

@@ -111,10 +111,22 @@ class Recorded:
 
     def _check_given(self, config: TrainConfig) -> None:
         """Refuses settings that only a simulator has a use for."""
-        if simulated := config.given("scene rotations engine ensemble"):
+        of_simulators = "scene rotations engine ensemble fovy aspect centre lens eval_fovy"
+        if simulated := config.given(of_simulators):
             raise ConfigError(
                 f"{simulated[0]} is for tasks that are simulated, and this dataset was recorded; "
                 "leave it out."
+            )
+        if config.ray_frame != "base":
+            raise ConfigError(
+                f"--ray-frame {config.ray_frame} needs to know at each step where the base is in "
+                "that frame, and a recorded dataset tells of its cameras in the base alone: leave "
+                "it out."
+            )
+        if config.rays_from != "true":
+            raise ConfigError(
+                "--rays-from nominal needs a usual K, which recorded cameras have not: leave it "
+                "out."
             )
         for name in ("n", "m"):
             if getattr(config, name) is not None and config.task != RECORDED:

@@ -9,6 +9,7 @@ from jaxcam.config.names import EngineName
 from jaxcam.errors import ConfigError, closest
 from jaxcam.sim import tasks
 from jaxcam.sim.engine import Engine
+from jaxcam.sim.lenses import SCALE, LensPainter
 from jaxcam.sim.painter import Painter
 from jaxcam.sim.simulators import SIMULATORS, Simulator
 from jaxcam.sim.task import Task
@@ -101,6 +102,7 @@ def make_painter(
     varied: Sequence[str] = (),
     batch: int = 32,
     engine: EngineName | None = None,
+    lenses: bool = False,
 ) -> Painter:
     """What draws a world.
 
@@ -112,9 +114,16 @@ def make_painter(
         batch: Views that it is to draw at once: more only take longer, but some painters draw as
             many when there are fewer. The pictures are the same.
         engine: That steps the world, see `painter_of`.
+        lenses: Whether views may have lenses.
     """
     painter: Any = painter_of(world, engine)
-    return painter(world, height, width, varied=tuple(varied), batch=batch)
+    width = width or height
+
+    def made(scale: int) -> Painter:
+        size = (scale * height, scale * width)
+        return painter(world, *size, varied=tuple(varied), batch=batch)
+
+    return LensPainter(made(1), made(SCALE)) if lenses else made(1)
 
 
 def painter_of(world: World, engine: EngineName | None = None) -> type[Painter]:

@@ -17,6 +17,8 @@ from jaxcam.errors import ConfigError
         ({"preset": "papr"}, "did you mean 'paper'"),
         ({"action_frame": "camera", "action_space": "joint_abs"}, "eef_delta or eef_abs, and not"),
         ({"action_frame": "camera", "action_space": "native"}, "and not native"),
+        ({"action_frame": "camera", "ray_frame": "grip"}, "ray_frame base, not grip"),
+        ({"conditioning": "warp", "ray_frame": "world"}, "ray_frame base, not world"),
         ({"batch": 0}, "batch must be at least 1, got 0"),
         ({"lr": 0.0}, "lr must be finite and more than 0"),
         ({"lr": float("nan")}, "lr must be"),

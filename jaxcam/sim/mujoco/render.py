@@ -14,6 +14,7 @@ from jaxcam.sim.mujoco.machine import has_accelerator
 from jaxcam.sim.mujoco.render_inputs import Inputs, Placing, shrunk
 from jaxcam.sim.mujoco.render_program import Kernel, traced_inputs
 from jaxcam.sim.mujoco.scene import Scene
+from jaxcam.sim.painter import require_pinholes
 from jaxcam.sim.types import View
 from jaxcam.sim.world import World
 
@@ -75,7 +76,8 @@ class Renderer:
     def traced(self, view: View) -> jax.Array:
         """`rgb` for use inside a compiled program, poses included: uint8 [B, H, W, 3]."""
         count, full = len(view.qpos), -(-len(view.qpos) // self.batch) * self.batch
-        view = View(*(jnp.asarray(x, jnp.float32) for x in view))
+        require_pinholes(view)
+        view = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), view)
         inputs = traced_inputs(self._placing, self._kernel, view)
         groups = jax.tree.map(
             lambda x: jnp.resize(x, (full, *x.shape[1:])).reshape(-1, self.batch, *x.shape[1:]),
@@ -91,6 +93,7 @@ class Renderer:
 
         With several samples per pixel the depth is that of each pixel's upper left one.
         """
+        require_pinholes(view)
         count = len(view.qpos)
         rgb = np.empty((count, self.height, self.width, 3), np.uint8)
         depth = np.empty((count, self.height, self.width), np.float32)

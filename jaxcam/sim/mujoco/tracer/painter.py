@@ -19,6 +19,7 @@ from jaxcam.sim.mujoco.tracer.geometry import Solids, Surfaces, drawable, solids
 from jaxcam.sim.mujoco.tracer.kernel import STACK, Hits, Posed
 from jaxcam.sim.mujoco.tracer.seeing import see
 from jaxcam.sim.mujoco.tracer.shading import Casters, shade
+from jaxcam.sim.painter import require_pinholes
 from jaxcam.sim.types import View
 from jaxcam.sim.world import World
 
@@ -92,6 +93,7 @@ class CpuRenderer:
 
         With several samples per pixel the depth is that of each pixel's upper left one.
         """
+        require_pinholes(view)
         count = len(view.qpos)
         rgb = np.empty((count, *self._size, 3), np.uint8)
         depth = np.empty((count, *self._size), np.float32)
