@@ -142,12 +142,13 @@ def _page(config: HandEyeConfig, case: Case, fit: HandEyeFit, notes: list[str]) 
     verdict, good = pose_verdict({config.view: fit.spread})
     board = board_of(config)
     what = "board" if board else "tag"
-    frames = ("on the grip", "in the base frame") if carried else ("in the base frame",
-                                                                     "on the grip")  # fmt: skip
+    places = ["in the base frame", "on the grip"]
+    if carried:
+        places.reverse()
     rows = []
     for name, pose, (place, turn) in (
-        (f"camera {frames[0]}", fit.mount_from_camera, fit.spread),
-        (f"{what} {frames[1]}", fit.holder_from_target, fit.target_spread),
+        (f"camera {places[0]}", fit.mount_from_camera, fit.spread),
+        (f"{what} {places[1]}", fit.holder_from_target, fit.target_spread),
     ):
         position = ", ".join(f"{x:.4f}" for x in pose[:3, 3])
         rows.append((name, position, f"{1000 * place:.2f} mm", f"{np.rad2deg(turn):.3f}°"))

@@ -175,8 +175,8 @@ class _Finder:
         names = ", ".join(p.name for p in self._without[:4])
         words = f"Not in {names}, for example. " if names else ""
         if self._board:
-            found = (why_not(p.grey, self._board) for p in self._without)
-            reason = next((why for why in found if why), "")
+            reasons = (why_not(p.grey, self._board) for p in self._without)
+            reason = next((why for why in reasons if why), "")
             more = f"There, {reason}. " if reason else ""
             return words + more + "The detector needs squares of 10 pixels or more, sharp."
         known = {self._config.tag}
