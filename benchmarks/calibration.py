@@ -2,7 +2,7 @@
 
     python benchmarks/calibration.py lens [--trials 20] [--kind opencv|fisheye]
     python benchmarks/calibration.py tags [--trials 20] [--tags 1|2|3|4] [--pictures 5]
-    python benchmarks/calibration.py hand-eye [--trials 20] [--pictures 15]
+    python benchmarks/calibration.py hand-eye [--trials 20] [--pictures 15] [--mount fixed|grip]
     python benchmarks/calibration.py arm [--cameras 50] [--held-out] [--films FOLDER]
     python benchmarks/calibration.py drift [--cameras 50] [--held-out] [--films FOLDER]
 
@@ -25,7 +25,7 @@ from jaxcam.interop.cameras.optics import Optics
 from jaxcam.rays import look_at
 from jaxcam.rays.lens import distort, normalised, pack, sight_lines
 from jaxcam.robot.calibration.boards import Board
-from jaxcam.robot.calibration.hand_eye.fit import fit_hand_eye
+from jaxcam.robot.calibration.hand_eye.fit import Seen, fit_hand_eye
 from jaxcam.robot.calibration.lens.fit import LensFit, fit_lens, ray_pixels
 from jaxcam.robot.calibration.pictures import NamedPicture
 from jaxcam.robot.calibration.projection import apart, moved, placed, pose_of
@@ -148,8 +148,8 @@ def tags(trials: int, count: int, pictures: int) -> None:
          np.array(rows))  # fmt: skip
 
 
-def hand_eye(trials: int, count: int) -> None:
-    """A tag of 6 cm on the hand."""
+def hand_eye(trials: int, count: int, mount: str) -> None:
+    """A tag of 6 cm on the hand, or on the table below a camera on the hand."""
     optics, rays, rows = optics_of(WEBCAM), rays_of(*WEBCAM[:1], *SIZE, WEBCAM[2]), []
     aim = np.array([0.45, 0, 0.2])
     for trial in range(trials):
@@ -160,19 +160,27 @@ def hand_eye(trials: int, count: int) -> None:
         own = facing * Rotation.from_rotvec(rng.normal(0, 0.3, 3))
         at = aim - 0.06 * pose[:3, 2]
         tag = np.linalg.inv(pose_of(down.as_matrix(), aim)) @ pose_of(own.as_matrix(), at)
-        turns = Rotation.from_rotvec(rng.uniform(-0.6, 0.6, (count, 3)))
-        grips = pose_of((turns * down).as_matrix(), aim + rng.uniform(-0.15, 0.15, (count, 3)))
+        turn, reach = (0.6, 0.15) if mount == "fixed" else (0.4, 0.08)
+        turns = Rotation.from_rotvec(rng.uniform(-turn, turn, (count, 3)))
+        grips = pose_of((turns * down).as_matrix(), aim + rng.uniform(-reach, reach, (count, 3)))
         read = np.stack([
             moved(g, np.r_[rng.normal(0, 5e-4, 3), rng.normal(0, np.deg2rad(0.1), 3)])
             for g in grips
         ])  # fmt: skip
+        eyes, papers, carried = [pose] * count, grips @ tag, read
+        if mount == "grip":  # 30 cm above the tag, looking at it
+            pose = moved(np.eye(4), np.array([0.05, 0.02, aim[2] - 0.3, *rng.normal(0, 0.1, 3)]))
+            eyes, papers = grips @ pose, [pose_of(np.eye(3), aim * [1, 1, 0])] * count
+            carried = np.linalg.inv(read)
         sights = [
-            find_tags(NamedPicture("", draw(rays, pose, [paper], rng)), "36h11", optics)
-            for paper in (tag_print("36h11", 5, 0.06, g @ tag) for g in grips)
+            find_tags(NamedPicture("", draw(rays, eye, [tag_print("36h11", 5, 0.06, paper)], rng)),
+                      "36h11", optics)
+            for eye, paper in zip(eyes, papers, strict=True)
         ]  # fmt: skip
         there = [i for i, some in enumerate(sights) if 5 in some]
-        fit = fit_hand_eye(read[there], np.stack([sights[i][5] for i in there]), 0.06, optics)
-        rows.append([*_off(pose, fit.base_from_camera), 1000 * fit.spread[0],
+        sights = [Seen(square(0.06), sights[i][5]) for i in there]
+        fit = fit_hand_eye(carried[there], sights, optics)
+        rows.append([*_off(pose, fit.mount_from_camera), 1000 * fit.spread[0],
                      np.rad2deg(fit.spread[1]), fit.rms, len(there)])  # fmt: skip
     show(("position (mm)", "rotation (degrees)", "deviation as said (mm)",
           "deviation as said (degrees)", "RMS (px)", "pictures with the tag"),
@@ -198,6 +206,7 @@ def main() -> None:
     parser.add_argument("--kind", choices=["opencv", "fisheye"], default="opencv")
     parser.add_argument("--tags", type=int, choices=[1, 2, 3, 4], default=4)
     parser.add_argument("--pictures", type=int)
+    parser.add_argument("--mount", choices=["fixed", "grip"], default="fixed")
     parser.add_argument("--cameras", type=int, default=50)
     parser.add_argument("--held-out", action="store_true")
     parser.add_argument("--films", type=Path, default=Path("films"))
@@ -216,7 +225,7 @@ def main() -> None:
             else:
                 calibration_arm.drift(cameras, asked.films)
         case _:
-            hand_eye(asked.trials, asked.pictures or 15)
+            hand_eye(asked.trials, asked.pictures or 15, asked.mount)
 
 
 if __name__ == "__main__":

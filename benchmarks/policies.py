@@ -7,6 +7,8 @@
 2. One train step (loss, gradients, clipping, AdamW) in float32 of ACT `paper` (ResNet-18 at 256
    pixels, batch 8) and Diffusion Policy `paper` (batch 8), and the same with PyTorch's modules if
    PATH is the Python of an environment for `benchmarks/policies_torch.py`.
+3. With `--only encodings`: one train step of ACT `attention` (batch 64) by each way of
+   conditioning, and its ratio to late fusion's; parameters likewise.
 
 Everything is measured in turn, round by round; medians count, and ratios are taken within a round.
 `cpu` is the time of all cores, which tells more than the clock does on a machine that has other
@@ -29,6 +31,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxcam.config.names import Conditioning, names_of
 from jaxcam.config.train import TrainConfig
 from jaxcam.models import FAMILIES, Policy, PolicySpec, make_policy
 from jaxcam.models.crops import window
@@ -39,6 +42,9 @@ from jaxcam.training.state import Update, init_state, make_optimizer, make_train
 
 OBSERVATIONS = 50
 BATCH = 8
+LAPTOP_BATCH = 64
+REFERENCE = "late"
+"""The way of conditioning that the others are measured against."""
 ACTION, PROPRIO = 7, 9
 SQUARE = 1024
 """Side of the matrices whose product tells what the machine can do."""
@@ -157,11 +163,15 @@ def train_step(kind: str) -> Callable[[], Times]:
     """A function that makes one update; compiled already."""
     # ACT without the paper's ray encoder, which LeRobot does not have.
     plain = {"conditioning": "none", "twin_of": "none"} if kind == "act" else {}
-    policy, config = make(kind, "paper", compute_dtype="float32", **plain)
+    return step_of(*make(kind, "paper", compute_dtype="float32", **plain), BATCH)
+
+
+def step_of(policy: Policy, config: TrainConfig, count: int) -> Callable[[], Times]:
+    """A function that makes one update of so many samples; compiled already."""
     tx, root = make_optimizer(config), jax.random.key(0)
     state = [init_state(policy.init, tx, root)]
     update = make_train_chunk(Update(policy.loss, tx))
-    batch = {k: jnp.asarray(v[None]) for k, v in make_batch(policy, BATCH).items()}
+    batch = {k: jnp.asarray(v[None]) for k, v in make_batch(policy, count).items()}
 
     def step() -> Any:
         state[0], metrics = update(state[0], batch, root)
@@ -169,6 +179,28 @@ def train_step(kind: str) -> Callable[[], Times]:
 
     timed(step)
     return lambda: timed(step)
+
+
+def encodings(rounds: int) -> dict[str, dict[str, float]]:
+    """An update of each way of conditioning in one network, in turn, and ratios to late fusion."""
+    steps, sizes = {}, {}
+    for way in names_of(Conditioning):
+        twin_of = {"twin_of": way}  # none is the network without a ray path
+        policy, config = make("act", "attention", conditioning=way, **twin_of)
+        shapes = jax.tree.leaves(jax.eval_shape(policy.init, jax.random.key(0)))
+        sizes[way] = float(sum(np.prod(leaf.shape) for leaf in shapes))
+        steps[way] = step_of(policy, config, LAPTOP_BATCH)
+    times = [{way: step() for way, step in steps.items()} for _ in range(rounds)]
+    taken = {way: [row[way] for row in times] for way in steps}
+    return {
+        way: {
+            **milliseconds("jax", taken[way]),
+            **compared(taken[way], taken[REFERENCE]),
+            "parameters": sizes[way],
+            "parameters_ratio": sizes[way] / sizes[REFERENCE],
+        }
+        for way in steps
+    }
 
 
 class Torch:
@@ -224,7 +256,7 @@ def main() -> None:
     parser.add_argument("--torch-threads", type=int, help="its threads; one waits for no other")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--preset", default="laptop", help="of which actions are sampled")
-    parser.add_argument("--only", choices=("sampling", "act", "diffusion"))
+    parser.add_argument("--only", choices=("sampling", "act", "diffusion", "encodings"))
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
     measured = {}
@@ -233,6 +265,8 @@ def main() -> None:
     for kind in ("act", "diffusion"):
         if args.only in (None, kind):
             measured[kind] = training(kind, args.torch_python, args.rounds, args.torch_threads)
+    if args.only == "encodings":
+        measured |= encodings(args.rounds)
     if args.json:
         print(json.dumps(measured, indent=2))
         return

@@ -1,9 +1,13 @@
-"""Milliseconds a picture of the batched renderer on Lift, against `mujoco.Renderer`.
+"""Milliseconds a picture of the batched renderers on Lift, against `mujoco.Renderer`.
 
     python benchmarks/render.py [--size 84] [--views 64] [--json]
 
-Both draw the same visual model from the same camera poses with one sample a pixel, with shadows and
-without, and the mean difference of their pictures is printed to show it. `mujoco.Renderer` makes
+    python benchmarks/render.py --no-opengl        # the two ray tracers alone
+
+All draw the same visual model from the same camera poses with one sample a pixel, with shadows and
+without, and the mean difference of their pictures is printed to show it. The ray tracers are ours
+for the CPU, on one core here, and MJX's, which draws on CUDA and drew on CPUs up to version 0.1.0;
+what they take is processor time, of `mujoco.Renderer` too. `mujoco.Renderer` makes
 its shadows from a map of 4096 x 4096 texels, MuJoCo's default, whatever the picture's size. It
 needs OpenGL without a display: EGL (Debian: libegl1 and libegl-mesa0), or OSMesa (libosmesa6) with
 MUJOCO_GL=osmesa. Everything is measured in turn, round by round; the medians over the rounds
@@ -28,6 +32,7 @@ from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.sim import make_task
 from jaxcam.sim.mujoco.render import Renderer
 from jaxcam.sim.mujoco.scene import Scene, build_scene
+from jaxcam.sim.mujoco.tracer.painter import CpuRenderer
 from jaxcam.sim.task import Task, starts
 from jaxcam.sim.types import View
 
@@ -86,6 +91,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=84, help="image side (pixels)")
     parser.add_argument("--views", type=int, default=64, help="pictures a round")
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--no-opengl", action="store_true", help="leave mujoco.Renderer out")
     parser.add_argument("--json", action="store_true", help="print one JSON object as well")
     args = parser.parse_args()
 
@@ -94,16 +100,25 @@ def main() -> None:
     view = make_view(task, scene, args.size, args.views)
     programs: dict[str, Callable[[], np.ndarray]] = {}
     for shadows, suffix in ((True, ""), (False, ", no shadows")):
-        ours = Renderer(scene, args.size, varied=task.varied, shadows=shadows)
-        programs[f"jaxcam{suffix}"] = lambda ours=ours: ours.rgb(view)
+        for name, kind in (("jaxcam", CpuRenderer), ("MJX's ray tracer", Renderer)):
+            ours = kind(scene, args.size, varied=task.varied, shadows=shadows)
+            programs[f"{name}{suffix}"] = lambda ours=ours: ours.rgb(view)
+    if not args.no_opengl:
+        add_opengl(programs, scene, task, view, args.size)
+    measure(programs, args)
+
+
+def add_opengl(
+    programs: dict[str, Callable[[], np.ndarray]], scene: Scene, task: Task, view: View, size: int
+) -> None:
+    """Adds `mujoco.Renderer`, where it starts."""
     try:
-        opengl = OpenGL(scene, task.varied, args.size)
+        opengl = OpenGL(scene, task.varied, size)
     except Exception as error:  # whichever library is missing, each says so in its own way
         print(GL_HELP.format(error=error))
     else:
         programs["mujoco.Renderer"] = lambda: opengl.rgb(view, shadows=True)
         programs["mujoco.Renderer, no shadows"] = lambda: opengl.rgb(view, shadows=False)
-    measure(programs, args)
 
 
 def measure(programs: dict[str, Callable[[], np.ndarray]], args: argparse.Namespace) -> None:
@@ -112,9 +127,9 @@ def measure(programs: dict[str, Callable[[], np.ndarray]], args: argparse.Namesp
     times: dict[str, list[float]] = {name: [] for name in programs}
     for _ in range(args.rounds):
         for name, run in programs.items():
-            began = time.perf_counter()
+            began = time.process_time()
             run()
-            times[name].append(1e3 * (time.perf_counter() - began) / args.views)
+            times[name].append(1e3 * (time.process_time() - began) / args.views)
     one = np.array(next(iter(times.values())))
     ratios = {name: float(np.median(np.array(t) / one)) for name, t in times.items()}
     cores, load = os.cpu_count(), os.getloadavg()[0]
@@ -123,16 +138,19 @@ def measure(programs: dict[str, Callable[[], np.ndarray]], args: argparse.Namesp
     for name, values in times.items():
         print(f"  {name:28} {np.median(values):12.2f} {ratios[name]:14.2f}")
     measured: dict[str, Any] = {
-        "what": f"milliseconds a picture of Lift at {args.size} px, medians over rounds",
+        "what": f"processor's milliseconds a picture of Lift at {args.size} px, medians",
         "scene": args.scene,
         "ms": {name: float(np.median(t)) for name, t in times.items()},
         "times_of_the_first": ratios,
     }
-    if "mujoco.Renderer" in pictures:
-        first = next(iter(pictures.values())).astype(float)
-        difference = float(abs(first - pictures["mujoco.Renderer"]).mean())
-        measured["mean_difference_of_255"] = difference
-        print(f"  pictures of the two renderers differ by {difference:.1f} of 255 on average")
+    first = pictures["jaxcam"].astype(float)
+    measured["mean_difference_of_255"] = {
+        name: float(abs(first - pictures[name]).mean())
+        for name in ("MJX's ray tracer", "mujoco.Renderer")
+        if name in pictures
+    }
+    for name, difference in measured["mean_difference_of_255"].items():
+        print(f"  pictures of {name} differ by {difference:.4f} of 255 on average")
     if args.json:
         print(json.dumps(measured))
 

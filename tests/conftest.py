@@ -65,10 +65,18 @@ def scene(scenes):
 
 @pytest.fixture(scope="session")
 def renderer(lift, scene):
-    """A renderer of the randomised scene whose batches are small, so that they get padded."""
-    from jaxcam.sim.mujoco.render import Renderer
+    """A renderer of the randomised scene."""
+    from jaxcam.sim import make_painter
 
-    return Renderer(scene, PIXELS, varied=lift.varied, batch=4)
+    return make_painter(scene, PIXELS, varied=lift.varied, batch=4)
+
+
+@pytest.fixture(scope="session")
+def mjx_renderer(lift, scene):
+    """One that draws within the programs of the MJX engines too."""
+    from jaxcam.sim import make_painter
+
+    return make_painter(scene, PIXELS, varied=lift.varied, batch=4, engine="mjx-warp")
 
 
 @pytest.fixture(scope="session")

@@ -170,7 +170,8 @@ def test_what_cannot_be_meant_is_refused(given):
         "groups=0", "layers=0", "hidden=0", "nominal_pose=((1,),)", "nominal_pose=1", "steps=0",
         "tokens=(1.5,)", "patch=0", "shuffle=0", "obs_steps=0", "sample_steps=0", "step_width=0",
         "compute_dtype=float8", "encoder_width=0", "encoder_depth=0", "width=" + "9" * 5000,
-        "width=" + "(" * 500, "nothing=1",
+        "width=" + "(" * 500, "nothing=1", "warp_height=1e999", "warp_fovy_deg=180", "fold=0",
+        "action_frame='camera'", "base_from_actions=((1,),)",
     ],
 )  # fmt: skip
 def test_odd_networks_are_refused(policy, value):

@@ -8,7 +8,7 @@ from typing import Any
 from jaxcam.checks.findings import Finding, bad, good, note
 from jaxcam.console.words import some
 from jaxcam.errors import JaxcamError
-from jaxcam.results.rows import Row
+from jaxcam.results.rows import CONDITIONS, Row
 from jaxcam.results.stats import latest_rows
 from jaxcam.runs.rollouts import read_run_rows
 
@@ -30,16 +30,26 @@ def check_evaluations(folder: Path, pairs: int) -> Iterator[Finding]:
         yield note("evaluation", got="none yet", fix=f"python -m jaxcam.evaluate {folder}")
         return
     yield from _several_outcomes(rows)
-    cells: dict[tuple[str, int], list[Row]] = {}
+    cells: dict[tuple[str, int, str], list[Row]] = {}
     for row in latest_rows(rows):
-        cells.setdefault((row.split, row.step), []).append(row)
+        cells.setdefault((row.split, row.step, _flags(row)), []).append(row)
     most: dict[str, int] = {}
-    for (split, _), cell in cells.items():
+    for (split, *_), cell in cells.items():
         most[split] = max(most.get(split, 0), len(cell))
-    for (split, step), cell in sorted(cells.items(), key=lambda item: item[0]):
+    for (split, step, flags), cell in sorted(cells.items(), key=lambda item: item[0]):
         asked = max(min(pairs, most[split]), 1 + max(row.pair for row in cell))
-        again = f"python -m jaxcam.evaluate {folder} --split {split} --step {step} --pairs {asked}"
-        yield _outcomes(cell, asked, f"{split}, step {step}", again)
+        again = (
+            f"python -m jaxcam.evaluate {folder} --split {split} --step {step} --pairs {asked}"
+            f"{flags}"
+        )
+        yield _outcomes(cell, asked, f"{split}, step {step}{flags}", again)
+
+
+def _flags(row: Row) -> str:
+    """The flags that ask for a row's conditions, which are none where all was as usual."""
+    said = zip(CONDITIONS, row.conditions, strict=True)
+    names = ((name.removeprefix("eval_").replace("_", "-"), value) for name, value in said)
+    return "".join(f" --{name} {value}" for name, value in names if value is not None)
 
 
 def _several_outcomes(rows: Sequence[Row]) -> Iterator[Finding]:
@@ -58,7 +68,7 @@ def _several_outcomes(rows: Sequence[Row]) -> Iterator[Finding]:
 
 def _rollout(row: Row) -> tuple[Any, ...]:
     """The fields that identify a row's rollout within its run."""
-    return row.split, row.step, row.width, row.engine, row.ensemble, row.pair
+    return row.split, row.step, *row.way, *row.conditions, row.pair
 
 
 def _outcomes(rows: Sequence[Row], asked: int, where: str, again: str) -> Finding:

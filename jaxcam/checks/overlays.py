@@ -7,15 +7,14 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
+import jax
 import numpy as np
 
 from jaxcam.data.demos import Demo, Demos
 from jaxcam.data.pictures import views_of
 from jaxcam.rays import Camera
-from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.rays.rotations import matrix_from_quaternion
 from jaxcam.sim.painter import Painter
-from jaxcam.sim.types import View
 from jaxcam.sim.world import World
 
 PIXELS = 320
@@ -65,7 +64,7 @@ def draw(demos: Demos, shown: Sequence[Moment], painter: Painter) -> np.ndarray:
     for row, t, camera in shown:
         number = np.array([t * len(episodes[row].cameras) + camera])
         parts.append(views_of(episodes[row], demos, painter.height, number))
-    return painter.rgb(View(*map(np.concatenate, zip(*parts, strict=True))))
+    return painter.rgb(jax.tree.map(lambda *x: np.concatenate(x), *parts))
 
 
 def draw_over(picture: np.ndarray, demos: Demos, shown: Moment, scene: World) -> None:
@@ -75,7 +74,9 @@ def draw_over(picture: np.ndarray, demos: Demos, shown: Moment, scene: World) ->
     """
     demo, side = demos.episodes[shown.row], len(picture)
     pose = demos.header.world_from_camera[demo.cameras[shown.camera]]
-    eye = Camera(intrinsics(demos.header.fovy_deg, side), pose, side, side)
+    row, lenses = demo.cameras[shown.camera], demos.header.distortion
+    lens = None if lenses is None else lenses[row]
+    eye = Camera(demos.header.intrinsics(side)[row], pose, side, side, lens)
     draw_line(picture, eye, demo.eef_pos, PATH, 1)
     draw_axes(picture, eye, table_pose(demo, scene), TABLE_LENGTH)
     draw_axes(picture, eye, grip_pose(demo, shown.t), GRIP_LENGTH)

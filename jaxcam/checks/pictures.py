@@ -17,6 +17,7 @@ from jaxcam.data.samples import Layout
 from jaxcam.errors import JaxcamError
 from jaxcam.rays import spherical
 from jaxcam.sim import make_painter, painter_of
+from jaxcam.sim.painter import Painter
 from jaxcam.sim.task import Task
 from jaxcam.sim.world import World
 
@@ -97,7 +98,7 @@ def draw_overlays(demos: Demos, task: Task, scene: World, count: int) -> np.ndar
     """
     episodes, shown = demos.episodes, moments(demos, count)
     azimuth, elevation, _ = spherical(demos.header.world_from_camera, np.array(task.cameras.centre))
-    pictures = draw(demos, shown, make_painter(scene, PIXELS, varied=task.varied)).copy()
+    pictures = draw(demos, shown, _painter(demos, task, scene, PIXELS)).copy()
     captions = []
     for picture, moment in zip(pictures, shown, strict=True):
         draw_over(picture, demos, moment, scene)
@@ -149,13 +150,19 @@ def _blank(what: str, path: Path, cache: Pictures, *, has_sums: bool) -> Finding
     )
 
 
+def _painter(demos: Demos, task: Task, scene: World, side: int) -> Painter:
+    """What draws a dataset's cameras, in square pictures."""
+    lenses = demos.header.distortion is not None
+    return make_painter(scene, side, varied=task.varied, lenses=lenses)
+
+
 def _compared(
     what: str, path: Path, cache: Pictures, demos: Demos, task: Task, scene: World, count: int
 ) -> Finding:
     """Whether pictures are what is drawn here of their states and cameras."""
     rows = _some_drawn(cache, count)
     shown = list(map(Moment, *(part.tolist() for part in cache.layout.where(rows))))
-    ours = draw(demos, shown, make_painter(scene, cache.rgb.shape[1], varied=task.varied))
+    ours = draw(demos, shown, _painter(demos, task, scene, cache.rgb.shape[1]))
     theirs = cache.rgb[rows]
     apart = _apart(ours, theirs)
     if apart.max() <= ALIKE:

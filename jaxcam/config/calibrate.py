@@ -10,7 +10,9 @@ from jaxcam.config.fields import check_least, check_most, check_types
 from jaxcam.config.flags import default
 from jaxcam.errors import ConfigError
 
-BoardName = Literal["charuco", "chessboard"]
+BoardName = Literal["charuco", "charuco_legacy", "chessboard"]
+"""Boards; `charuco_legacy` is what OpenCV before 4.6 printed, white in the upper left where the
+number of rows is even."""
 LensKind = Literal["opencv", "fisheye"]
 """Models of a lens that has coefficients."""
 TagFamily = Literal[
@@ -22,6 +24,10 @@ RotationForm = Literal[
     "by_names", "rotvec", "quaternion_wxyz", "quaternion_xyzw", "euler_xyz", "euler_zyx_intrinsic"
 ]
 """How the grip's rotation is written; `by_names` is what the numbers' names say."""
+
+
+MOST_DELAY = 2000
+"""Milliseconds that states and pictures may be apart."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +49,8 @@ class LensConfig:
     print_board: Annotated[str, default("none")] = ""
     """Write the board to this PDF, in true size, and end."""
     board: BoardName = "charuco"
-    """A chessboard with markers, which may be seen in part, or a plain one."""
+    """A chessboard with markers, which may be seen in part (charuco_legacy if OpenCV before 4.6
+    printed it), or a plain one."""
     columns: int = 11
     """Squares of the board from left to right."""
     rows: int = 8
@@ -76,11 +83,7 @@ class LensConfig:
             raise ConfigError(f"coefficients must be 4, 5 or 8, got {self.coefficients}.")
         if self.lens == "fisheye" and self.coefficients != 5:
             raise ConfigError("--coefficients is for --lens opencv: a fisheye has four.")
-        if self.marker_mm is not None and self.marker_mm >= self.square_mm:
-            raise ConfigError(
-                f"A marker ({self.marker_mm:g} mm) is smaller than its square "
-                f"({self.square_mm:g} mm). Was one taken for the other?"
-            )
+        _check_marker(self.marker_mm, self.square_mm)
         if self.print_board:
             if self.pictures:
                 raise ConfigError("--print-board reads no pictures: print first, then calibrate.")
@@ -126,27 +129,45 @@ class TagsConfig:
 
 @dataclass(frozen=True)
 class HandEyeConfig:
-    """A tag on the gripper, and the grip's poses: where a camera that stands still is.
+    """A tag or board and a camera, one of which the hand carries: where the camera is.
 
-    Also finds where the tag sits on the hand. Fifteen poses are enough, if the hand turns about
-    two axes by 30 degrees or more.
+    Also finds where the tag or board is. Fifteen poses are enough, if the hand turns about two
+    axes by 30 degrees or more.
     """
 
     dataset: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="DATASET")]]
     """Folder of a recorded dataset, whose state has the grip's pose."""
     view: Annotated[str, default("none")] = ""
     """The camera's name, as the dataset calls its view."""
+    mount: Literal["fixed", "grip"] = "fixed"
+    """What carries the camera: it stands and the hand carries the tag, or the hand carries it and
+    the tag stands."""
     grip_pose: Annotated[str, default("by its names")] = ""
     """Where the state has the grip's pose, such as observation.state[0:6]: position (m), then
     rotation."""
     rotation: RotationForm = "by_names"
     """How its rotation is written (radians). euler_xyz turns about fixed axes x, y, z."""
-    family: TagFamily = "36h11"
-    """Family of the tag."""
+    delay_ms: float = 0.0
+    """By how many milliseconds states are later than their pictures."""
+    target: Literal["tag", "charuco", "charuco_legacy"] = "tag"
+    """What is seen: a tag, or a board with markers."""
+    family: Annotated[TagFamily | None, tyro.conf.arg(metavar="FAMILY"),
+                      default("36h11; 4x4_50 of boards")] = None  # fmt: skip
+    """Family of the tag, or of the board's markers."""
     tag: int = 0
-    """Its number."""
+    """Number of the tag."""
     size_mm: float = 40.0
     """Side of its black square."""
+    columns: int = 11
+    """Squares of the board from left to right."""
+    rows: int = 8
+    """Squares from top to bottom."""
+    square_mm: float = 23.0
+    """Side of a square: measure it on the print."""
+    marker_mm: Annotated[float | None, tyro.conf.arg(metavar="FLOAT"), default("0.7 squares")] = (
+        None
+    )
+    """Side of a marker."""
     cameras: str = "cameras.json"
     """File of calibrations that has K (from `calibrate lens`), and gets the pose."""
     most: int = 60
@@ -156,11 +177,14 @@ class HandEyeConfig:
 
     def __post_init__(self) -> None:
         check_types(self)
-        check_least(self, 0, "size_mm", or_equal=False)
-        check_most(self, 10_000, "size_mm most")
-        check_least(self, 3, "most")
+        check_least(self, 0, "size_mm square_mm marker_mm", or_equal=False)
+        check_most(self, 10_000, "size_mm square_mm marker_mm most tag")
+        check_least(self, 3, "most columns rows")
+        check_most(self, 50, "columns rows")
         check_least(self, 0, "tag")
-        check_most(self, 10_000, "tag")
+        check_least(self, -MOST_DELAY, "delay_ms")
+        check_most(self, MOST_DELAY, "delay_ms")
+        _check_marker(self.marker_mm, self.square_mm)
         _check_view(self.view)
 
 
@@ -178,6 +202,15 @@ class CalibrateConfig:
         ]
     ]
     """What is done."""
+
+
+def _check_marker(marker_mm: float | None, square_mm: float) -> None:
+    """Refuses markers that are larger than the squares that they are in."""
+    if marker_mm is not None and marker_mm >= square_mm:
+        raise ConfigError(
+            f"A marker ({marker_mm:g} mm) is smaller than its square ({square_mm:g} mm). Was one "
+            "taken for the other?"
+        )
 
 
 def _check_view(view: str) -> None:

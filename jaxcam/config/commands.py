@@ -6,6 +6,7 @@ from typing import Annotated
 
 import tyro
 
+from jaxcam.config.conditions import Conditions, several
 from jaxcam.config.fields import check_least, check_most, check_rotation_form, check_types
 from jaxcam.config.flags import default
 from jaxcam.config.foreign import ForeignConfig
@@ -58,6 +59,34 @@ class EvaluateConfig:
         None
     )
     """Rate of temporal ensembling, 0 is off. Rows of different rates are not mixed."""
+    pose_noise: Annotated[
+        tuple[str, ...], tyro.conf.arg(metavar="DEG,CM ..."), default("none")
+    ] = ()
+    """Error of the camera poses that the policy is told, one throughout an episode and the same for
+    all policies: a turn in degrees and a shift in centimetres. Each of several is evaluated, as are
+    all combinations with what follows; rows of each are kept apart."""
+    pose_drift: Annotated[
+        tuple[str, ...], tyro.conf.arg(metavar="DEG,CM ..."), default("none")
+    ] = ()
+    """By how much a further error grows every second, always in one direction."""
+    fovy: Annotated[
+        tuple[str, ...], tyro.conf.arg(metavar="LOW:HIGH ..."), default("as in the run's own")
+    ] = ()
+    """Vertical fields of view of the cameras, in degrees; nominal is the task's."""
+    aspect: Annotated[
+        tuple[str, ...], tyro.conf.arg(metavar="LOW:HIGH ..."), default("as in training")
+    ] = ()
+    """Width over height of what a square picture shows."""
+    centre: Annotated[
+        tuple[str, ...], tyro.conf.arg(metavar="LOW:HIGH ..."), default("as in training")
+    ] = ()
+    """Distance of the principal point from the picture's middle, in heights of it."""
+    lens: Annotated[
+        tuple[str, ...],
+        tyro.conf.arg(metavar="MODEL:LOW:HIGH,... ..."),
+        default("as in training"),
+    ] = ()
+    """Lenses: opencv or fisheye, and a range for each coefficient."""
     videos: int = 16
     """Rollouts in each of two videos, one of the first pairs and one of failures; 0 is none."""
     distributed: bool = False
@@ -73,6 +102,7 @@ class EvaluateConfig:
         check_least(self, 0, "step videos")
         check_most(self, 1_000_000, "pairs width videos")
         check_least(self, -1, "ensemble")
+        self.conditions(Conditions())
         if self.foreign.policy:
             self._check_foreign()
         elif not self.run:
@@ -85,6 +115,17 @@ class EvaluateConfig:
                 "protocol paper gives results, and those are on cameras that training did not see: "
                 "leave out --protocol, or --split train."
             )
+
+    def conditions(self, usual: Conditions) -> list[Conditions]:
+        """All conditions that are asked for, one after the other.
+
+        Args:
+            usual: What those have of which nothing is asked: a run's own cameras.
+
+        Raises:
+            ConfigError: One cannot be.
+        """
+        return several(usual, {f.name: getattr(self, f.name) for f in dataclasses.fields(usual)})
 
     def _check_foreign(self) -> None:
         """Refuses what only checkpoints have."""

@@ -5,6 +5,7 @@ from typing import Annotated, Self
 
 import tyro
 
+from jaxcam.config.conditions import OPTICS, keep_canonical
 from jaxcam.config.fields import (
     check_least,
     check_most,
@@ -41,6 +42,14 @@ class CollectConfig:
     """Cameras a demonstration is seen from."""
     m: Annotated[FromPreset[int], default("the task's")] = PRESET
     """How many cameras later the cameras of the next demonstration begin; 0 gives all the same."""
+    fovy: Annotated[str, tyro.conf.arg(metavar="LOW:HIGH"), default("the task's")] = ""
+    """Vertical fields of view of the cameras, in degrees, such as 35:55."""
+    aspect: Annotated[str, tyro.conf.arg(metavar="LOW:HIGH"), default("1")] = ""
+    """Width over height of what a square picture shows, such as 1:1.5."""
+    centre: Annotated[str, tyro.conf.arg(metavar="LOW:HIGH"), default("0")] = ""
+    """Distance of the principal point from the picture's middle, in heights of it."""
+    lens: Annotated[str, tyro.conf.arg(metavar="MODEL:LOW:HIGH,..."), default("none")] = ""
+    """Lenses: opencv or fisheye, and a range for each coefficient, such as opencv:-0.3:0."""
     seed: int = 0
     """Seed of the initial states and of the expert."""
     data_dir: str = "data"
@@ -54,6 +63,7 @@ class CollectConfig:
 
     def __post_init__(self) -> None:
         check_types(self)
+        keep_canonical(self, *OPTICS)
         check_least(self, 1, "demos n")
         check_least(self, 0, "validation m")
         check_most(self, MOST_DEMOS, "demos validation n m")

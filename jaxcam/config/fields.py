@@ -248,6 +248,28 @@ def check_rotation_form(action_space: str, rotations: str) -> None:
         raise ConfigError(f"rotations is for action_space eef_abs, not {action_space}.")
 
 
+def check_action_frame(action_space: str | None, action_frame: str) -> None:
+    """Refuses actions that are not poses in a frame, or of which nobody says so."""
+    if action_frame == "camera" and action_space not in (None, "eef_delta", "eef_abs"):
+        raise ConfigError(
+            "action_frame camera is for grip poses, action_space eef_delta or eef_abs, and not "
+            f"{action_space}: no camera sees its numbers as positions and rotations."
+        )
+
+
+def check_ray_frame(ray_frame: str, action_frame: str, conditioning: str | None) -> None:
+    """Refuses cameras told in a frame other than the base's to what counts on that one."""
+    for what, counts in (
+        ("action_frame camera", action_frame == "camera"),
+        ("conditioning warp", conditioning == "warp"),
+    ):
+        if counts and ray_frame != "base":
+            raise ConfigError(
+                f"{what} needs the cameras' poses in the robot's base: ray_frame base, not "
+                f"{ray_frame}."
+            )
+
+
 def check_most(config: SettingsRecord, most: float, fields: str) -> None:
     """Refuses settings above a bound."""
     for field in fields.split():

@@ -9,8 +9,11 @@ Subject = Literal[TaskName, "recorded"]
 SceneName = Literal["fixed", "randomized"]
 """Whether table and room stand where they always do, or somewhere else in every episode."""
 PolicyName = Literal["act", "diffusion", "smolvla"]
-PresetName = Literal["auto", "laptop", "paper", "lerobot", "original", "tiny"]
-Conditioning = Literal["none", "token", "early", "late", "keypoints"]
+PresetName = Literal["auto", "laptop", "attention", "paper", "lerobot", "original", "tiny"]
+Conditioning = Literal[
+    "none", "token", "early", "late", "keypoints", "warp", "prope", "gta", "ray_rope"
+]  # fmt: skip
+ActionFrame = Literal["base", "camera"]
 ActionSpace = Literal[
     "eef_delta", "eef_abs", "joint_delta", "joint_abs", "eef_delta_componentwise"
 ]  # fmt: skip
@@ -20,6 +23,13 @@ ActionMeaning = Literal["unknown", "eef_abs", "eef_delta", "joint_abs", "joint_d
 """What the actions of a recorded dataset are, as far as anybody says."""
 Rotations = Literal["nominal", "world"]
 CommandSource = Literal["commands", "deltas", "absolute", "states"]
+PoseNoisePer = Literal["sample", "episode", "camera"]
+"""What an error of the poses is drawn anew for in training."""
+RaysFrom = Literal["true", "nominal"]
+"""Whether the intrinsics that a policy is told are those of its cameras, or the task's usual."""
+RayFrame = Literal["base", "world", "grip", "about_grip", "about_table"]
+"""Where the rays are that a policy is told: in the axes and about the origin of one of three
+frames, or in the base's axes with moments about another point."""
 ScheduleName = Literal["constant", "cosine", "cosine_from_start"]
 OptimizerName = Literal["adamw", "adam"]
 Precision = Literal["float32", "bfloat16"]

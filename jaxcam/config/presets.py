@@ -68,6 +68,12 @@ PRESETS: dict[tuple[PolicyName, PresetName], Preset] = {
         schedule="cosine", warmup=200, crop_min=0.8,
         log_every=50, eval_every=500, save_every=500,
     ),
+    ("act", "attention"): Preset(
+        conditioning="late", precision="float32", resolution=84,
+        steps=4000, batch=64, lr=1e-3, weight_decay=1e-4,
+        schedule="cosine", warmup=200, crop_min=0.8,
+        log_every=50, eval_every=500, save_every=500,
+    ),
     ("diffusion", "paper"): Preset(
         conditioning="early", precision="bfloat16", resolution=256,
         steps=300_000, batch=70, lr=2e-5, weight_decay=1e-4,

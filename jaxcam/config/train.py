@@ -9,9 +9,12 @@ from typing import Annotated, Any
 
 import tyro
 
+from jaxcam.config.conditions import NOMINAL, OPTICS, Conditions, keep_canonical
 from jaxcam.config.fields import (
+    check_action_frame,
     check_least,
     check_most,
+    check_ray_frame,
     check_rotation_form,
     check_seeds,
     check_types,
@@ -21,14 +24,18 @@ from jaxcam.config.fields import (
 from jaxcam.config.flags import PRESET, FromPreset, default
 from jaxcam.config.names import (
     ActionChoice,
+    ActionFrame,
     ActionMeaning,
     Conditioning,
     EngineChoice,
     LoggerName,
     OptimizerName,
     PolicyName,
+    PoseNoisePer,
     Precision,
     PresetName,
+    RayFrame,
+    RaysFrom,
     Rotations,
     SceneName,
     ScheduleName,
@@ -64,11 +71,26 @@ class TrainConfig:
     ] = PRESET
     """What the policy's actions mean; native is whatever a recorded dataset's do. Grip poses become
     what they move by and back, and so do joint angles."""
+    action_frame: ActionFrame = "base"
+    """What the policy predicts eef_delta or eef_abs in: the robot's own frame, or that of its first
+    camera, whose pose makes them the robot's again."""
     rotations: Rotations = "nominal"
     """What the rotation vectors of eef_abs are counted from: a grip that points down, where they
     are small, or the world's axes, as until version 0.1.0, where they jump."""
     views: Annotated[FromPreset[int], default("the task's")] = PRESET
     """Cameras the policy sees at once."""
+    pose_noise: Annotated[str, tyro.conf.arg(metavar="DEG,CM"), default("none")] = ""
+    """Error of the camera poses that the policy is told in training, such as 1,0.5: a turn by so
+    many degrees about a random axis, and a shift by so many centimetres in a random direction."""
+    pose_noise_per: PoseNoisePer = "sample"
+    """What a new error is drawn for: each sample, or once for each camera of each episode, or once
+    for each camera, as errors of a calibration are."""
+    ray_frame: RayFrame = "base"
+    """Where the rays are that the policy is told: in the frame of the robot's base, of the world or
+    of the grip, or in the base's axes with moments about the grip or the table's middle."""
+    rays_from: RaysFrom = "true"
+    """Intrinsics that the policy is told: its cameras', or the task's usual ones whatever theirs
+    are, which leaves it with the poses alone."""
     seed: int = 0
     """Seed of the weights, the order of the data, the crops and the dropout."""
     seeds: Annotated[tuple[int, ...], default("--seed alone")] = ()
@@ -125,6 +147,14 @@ class TrainConfig:
     """Cameras a demonstration is seen from."""
     m: Annotated[FromPreset[int], default("the task's")] = PRESET
     """How many cameras later the cameras of the next demonstration begin; 0 gives all the same."""
+    fovy: Annotated[str, tyro.conf.arg(metavar="LOW:HIGH"), default("the task's")] = ""
+    """Vertical fields of view of the cameras, in degrees, such as 35:55."""
+    aspect: Annotated[str, tyro.conf.arg(metavar="LOW:HIGH"), default("1")] = ""
+    """Width over height of what a square picture shows, such as 1:1.5."""
+    centre: Annotated[str, tyro.conf.arg(metavar="LOW:HIGH"), default("0")] = ""
+    """Distance of the principal point from the picture's middle, in heights of it."""
+    lens: Annotated[str, tyro.conf.arg(metavar="MODEL:LOW:HIGH,..."), default("none")] = ""
+    """Lenses: opencv or fisheye, and a range for each coefficient, such as opencv:-0.3:0."""
     demos: int = 200
     """Training demonstrations."""
     validation: int = 10
@@ -134,6 +164,8 @@ class TrainConfig:
     engine: EngineChoice = "auto"
     """Physics of the final evaluation; auto is mjx-warp on an accelerator and native without, and
     for the tasks of ManiSkill sapien-gpu on an NVIDIA card and sapien without."""
+    eval_fovy: Annotated[str, tyro.conf.arg(metavar="LOW:HIGH"), default("as --fovy")] = ""
+    """Fields of view in the final evaluation, in degrees; nominal is the task's."""
     ensemble: float = 0.0
     """Rate of temporal ensembling in the final evaluation, such as ACT's 0.01: the policy is asked
     at every step, and all that it ever predicted for a step is averaged; 0 is off."""
@@ -191,9 +223,21 @@ class TrainConfig:
         old = values.get("action_space") == "eef_abs" and "rotations" not in values
         return values | {"rotations": "world"} if old else values
 
+    @property
+    def conditions(self) -> Conditions:
+        """Those of the final evaluation: cameras as in training, and poses as they are."""
+        return Conditions.of(self, **({"fovy": self.eval_fovy} if self.eval_fovy else {}))
+
     def __post_init__(self) -> None:
         check_types(self)
+        keep_canonical(self, "pose_noise", *OPTICS)
+        if self.pose_noise_per != "sample" and not self.pose_noise:
+            raise ConfigError("--pose-noise-per goes with --pose-noise: say how large errors are.")
+        if self.eval_fovy != NOMINAL:
+            keep_canonical(self, "eval_fovy")
         check_rotation_form(vars(self)["action_space"] or "eef_delta", self.rotations)
+        check_action_frame(vars(self)["action_space"], self.action_frame)
+        check_ray_frame(self.ray_frame, self.action_frame, vars(self)["conditioning"])
         check_least(self, 1, "views steps batch n demos pairs keep log_every eval_every")
         check_least(self, 1, "save_every steps_per_call accumulate")
         check_least(self, 0, "warmup weight_decay m validation ema ema_power clip_norm")

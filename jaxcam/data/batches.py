@@ -6,20 +6,23 @@ stretch of them, so a resumed run, another prefetch depth or other machines see 
 
 from collections.abc import Generator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from jaxcam.config.names import RayFrame
 from jaxcam.config.sizes import size_name
+from jaxcam.config.train import TrainConfig
 from jaxcam.data.demos import Demo, Demos
 from jaxcam.data.pictures import Pictures
 from jaxcam.data.samples import Samples, history
+from jaxcam.models.action_frame import seen_actions, seen_points
 from jaxcam.models.normalization import STD_FLOOR
 from jaxcam.models.policy import Batch
 from jaxcam.rays import invert
-from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.rays.rotations import rotvec_from_matrix
-from jaxcam.sim.actions import encode, is_joint
+from jaxcam.sim.actions import encode, is_absolute, is_joint
+from jaxcam.sim.ray_frames import frame_from_base, grip_in_base, in_ray_frame
 from jaxcam.sim.world import World
 
 PREFETCH = 4
@@ -29,6 +32,18 @@ MANY_STEPS = 50_000
 are off in the fourth digit by a million; below, statistics stay what runs were begun with."""
 _IN_FINGERPRINTS = {"eef_abs": "eef_abs_nominal", "eef_abs_world": "eef_abs"}
 """Spaces whose name in fingerprints is another: `eef_abs` is that of version 0.1.0 there."""
+
+
+@dataclass(frozen=True)
+class ActionAxes:
+    """What it takes to say actions as a camera sees them."""
+
+    base_from_actions: np.ndarray = field(repr=False)
+    """The frame that they are in [4, 4]."""
+    absolute: bool
+    """Whether they are grip poses, rather than what these move by."""
+    views: int
+    """Cameras of a sample; the first one is whose frame it is."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +73,14 @@ class Dataset:
     instruction: np.ndarray | None = field(default=None, repr=False)
     """What is asked in each demonstration, by its number among the prompts [D]; None where it is
     the same in all."""
+    axes: ActionAxes | None = None
+    """How cameras see the actions, where policies predict them so: statistics are then of that."""
+    ray_frames: np.ndarray | None = field(default=None, repr=False)
+    """Before each action, the frame that policies are told their cameras in, from the base
+    [D, T, 4, 4]; None is the base."""
+    named: bool = False
+    """Whether batches say of what they are: `demo` [B], and `camera` [B, V], the row of each view's
+    first picture; errors of calibrations go by these."""
     ordered: bool = False
     """Whether the cameras of a sample stand in the order of their window, as cameras do that have
     names, or in any, as the paper's, which differ in nothing but their pose."""
@@ -78,6 +101,8 @@ class Dataset:
         stats = {}
         for name, of_all in self._targets({"proprio": self.proprio}).items():
             values = of_all[: self.train][real]
+            if self.axes and name != "proprio":
+                values = self._seen(self.axes, name, of_all)
             kind = np.float64 if len(values) > MANY_STEPS else values.dtype
             stats[f"{name}_mean"] = values.mean(0, dtype=kind)
             stats[f"{name}_std"] = np.maximum(values.std(0, dtype=kind), STD_FLOOR)
@@ -104,10 +129,17 @@ class Dataset:
             "base_from_camera": self.base_from_camera[cameras],
             "proprio": self.proprio[demo[:, None], times],
         }
+        if self.ray_frames is not None:
+            of_steps = self.ray_frames[demo[:, None], times][:, :, None]
+            observed["base_from_camera"] = in_ray_frame(observed["base_from_camera"], of_steps)
         if self.distortion is not None:
             observed["distortion"] = self.distortion[cameras]
         if obs_steps == 1:
             observed = {name: values[:, 0] for name, values in observed.items()}
+        if self.named:
+            first = np.zeros(1, int)
+            rows = [self._cameras(d, first, v)[0] for d, v in zip(demo, views, strict=True)]
+            observed |= {"demo": demo.astype(np.int32), "camera": np.array(rows, np.int32)}
         if self.instruction is not None:
             observed["instruction"] = self.instruction[demo]
         targets = {
@@ -125,6 +157,24 @@ class Dataset:
             else window[views][None].repeat(len(times), 0)
         )
 
+    def _seen(self, axes: ActionAxes, name: str, of_all: np.ndarray) -> np.ndarray:
+        """Targets [D, T, A] of the training demonstrations as each camera sees them [N, A]."""
+        parts = []
+        for demo, length in enumerate(self.lengths[: self.train]):
+            window = self.windows[demo]
+            # In their order, the last cameras are never the first of a sample.
+            first = window[..., : window.shape[-1] - axes.views + 1] if self.ordered else window
+            pose = invert(self.base_from_camera[first])
+            # A camera that stands sees all steps, [n, 4, 4]; one that moves its own, [T, n, 4, 4].
+            values = of_all[demo, None, :length]
+            values = values if window.ndim == 1 else values[0][:, None, None]
+            if name == "keyframe":
+                values = seen_points(values, pose)
+            else:
+                values = seen_actions(values, pose @ axes.base_from_actions, absolute=axes.absolute)
+            parts.append(values.reshape(-1, values.shape[-1]).astype(np.float32))
+        return np.concatenate(parts)
+
     def _targets(self, others: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """What a policy predicts of all demonstrations, by name, and others beside it."""
         keyframes = {} if self.keyframes is None else {"keyframe": self.keyframes}
@@ -140,6 +190,7 @@ def make_dataset(
     pictures: Pictures,
     space: str,
     scene: World,
+    ray_frame: RayFrame = "base",
 ) -> Dataset:
     """Turns demonstrations into arrays, their commands into actions of a space.
 
@@ -148,9 +199,10 @@ def make_dataset(
         pictures: Of it.
         space: Of the actions.
         scene: Where the demonstrations were given.
+        ray_frame: In which frame policies are told their cameras.
     """
     longest = int(pictures.layout.lengths.max())
-    actions, keyframes, proprio = [], [], []
+    actions, keyframes, proprio, ray_frames = [], [], [], []
     for demo in demos.episodes:
         moves = demo_actions(demo, space, scene)
         state = scene.proprio(demo.qpos, demo.eef_pos)[:-1]
@@ -158,21 +210,44 @@ def make_dataset(
         actions.append(np.pad(moves, pad))
         keyframes.append(np.pad(_keyframes(demo, scene), pad))
         proprio.append(np.pad(state, pad))
+        if ray_frame != "base":
+            grip = demo.world_from_grip()[:-1]
+            local = grip_in_base(scene.world_from_base, grip[:, :3, 3], grip[:, :3, :3])
+            moves_on = ((0, longest - demo.length), (0, 0), (0, 0))
+            ray_frames.append(np.pad(frame_from_base(ray_frame, scene, *local), moves_on, "edge"))
     cameras = invert(scene.world_from_base) @ demos.header.world_from_camera
     height, width = pictures.rgb.shape[1:3]
-    K = intrinsics(demos.header.fovy_deg, height, width)
+    lenses = demos.header.distortion
     return Dataset(
         pictures=pictures,
-        K=np.broadcast_to(K, (len(cameras), 3, 3)).astype(np.float32),
+        K=demos.header.intrinsics(height, width).astype(np.float32),
         base_from_camera=cameras.astype(np.float32),
         actions=np.stack(actions).astype(np.float32),
         keyframes=np.stack(keyframes).astype(np.float32),
         proprio=np.stack(proprio).astype(np.float32),
+        distortion=None if lenses is None else lenses.astype(np.float32),
         windows=[d.cameras for d in demos.episodes],
+        ray_frames=np.stack(ray_frames) if ray_frames else None,
         train=len(demos.train),
         fingerprint=f"{demos.fingerprint}-{size_name(height, width)}px-"
         f"{_IN_FINGERPRINTS.get(space, space)}",
     )
+
+
+def seen_by_cameras(
+    dataset: Dataset, config: TrainConfig, base_from_actions: np.ndarray
+) -> Dataset:
+    """The dataset with statistics of actions in the frame that a run's policy predicts them in.
+
+    Args:
+        dataset: Whose actions are in the run's action space.
+        config: The run's settings.
+        base_from_actions: The frame that those are in [4, 4].
+    """
+    if config.action_frame == "base":
+        return dataset
+    axes = ActionAxes(base_from_actions, is_absolute(config.action_space), config.views)
+    return replace(dataset, axes=axes)
 
 
 def demo_actions(demo: Demo, space: str, scene: World) -> np.ndarray:

@@ -187,13 +187,14 @@ def sights_of(demos: Demos) -> Sights:
         places = np.concatenate(paths[int(row)])
         points.append(places[np.linspace(0, len(places) - 1, POINTS).astype(int)])
     poses = np.asarray(demos.header.world_from_camera[rows], np.float64)
+    header, count = demos.header, len(rows)
     with np.errstate(divide="ignore"):  # a field of view that cannot be sees nothing
-        f = 1 / np.tan(np.deg2rad(demos.header.fovy_deg) / 2)
-    K = np.array([[f, 0, 1], [0, f, 1], [0, 0, 1]])
-    count = len(rows)
-    return Sights(
-        rows, poses, np.stack(points), np.tile(K, (count, 1, 1)), np.full((count, 2), 2.0)
-    )
+        f = 1 / np.tan(np.deg2rad(header.fovy_deg) / 2)
+    K = np.tile(np.array([[f, 0, 1], [0, f, 1], [0, 0, 1]]), (count, 1, 1))
+    if header.K is not None:
+        K = header.intrinsics(2)[rows]
+    lenses = None if header.distortion is None else header.distortion[rows]
+    return Sights(rows, poses, np.stack(points), K, np.full((count, 2), 2.0), lenses)
 
 
 def faults(sights: Sights) -> dict[Fault, np.ndarray]:

@@ -1,8 +1,10 @@
 """`python -m jaxcam.collect`: demonstrations of the scripted expert, as states and commands."""
 
+import re
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -10,7 +12,8 @@ from rich.console import Console
 from jaxcam.config.datasets import CollectConfig
 from jaxcam.config.fields import fill
 from jaxcam.console.progress import progress
-from jaxcam.data.demos import Demo, Demos, Header, read_demos
+from jaxcam.data.demos import Demo, Demos, read_demos
+from jaxcam.data.header import CAMERA_ARRAYS, Header, optics_ranges, said_optics
 from jaxcam.data.replay import replay_all
 from jaxcam.data.splits import TRAIN_CAMERAS, VALIDATION_CAMERAS, episode_seeds
 from jaxcam.data.writer import DemoWriter
@@ -19,6 +22,7 @@ from jaxcam.files.locks import exclusive
 from jaxcam.files.paths import home
 from jaxcam.interrupts import check_stop
 from jaxcam.rays import sample_poses, stair, stair_cameras
+from jaxcam.rays.optics import sample_optics
 from jaxcam.rays.rotations import rotvec_from_matrix
 from jaxcam.sim import make_engine, make_task, simulator_of
 from jaxcam.sim.engine import Engine
@@ -42,6 +46,8 @@ def dataset_path(config: CollectConfig) -> Path:
     """Where a dataset lies: its name holds every setting that shapes it."""
     config = with_stair(config)
     name = f"{config.task}-{config.scene}-n{config.n}m{config.m}-{config.demos}+{config.validation}"
+    optics = "".join(f"-{k}{v}" for k, v in said_optics(config).items())
+    name += re.sub("[:,]", "_", optics)
     return home(config.data_dir) / f"{name}-seed{config.seed}.hdf5"
 
 
@@ -71,10 +77,16 @@ def collect(config: CollectConfig, console: Console | None = None) -> Demos:
 
 def new_header(config: CollectConfig, task: Task, scene: World) -> Header:
     """What the file of a complete config says of itself, its cameras drawn."""
-    poses = [
-        sample_poses(task.cameras, stair_cameras(config.demos, config.n, config.m), TRAIN_CAMERAS),
-        sample_poses(task.cameras, config.validation, VALIDATION_CAMERAS),
-    ]
+    counts = {
+        TRAIN_CAMERAS: stair_cameras(config.demos, config.n, config.m),
+        VALIDATION_CAMERAS: config.validation,
+    }
+    poses = [sample_poses(task.cameras, count, seed) for seed, count in counts.items()]
+    own: dict[str, Any] = {}
+    if ranges := optics_ranges(config, task.fovy_deg):
+        drawn = [sample_optics(ranges, count, seed) for seed, count in counts.items()]
+        parts = dict(zip(CAMERA_ARRAYS, zip(*drawn, strict=True), strict=True))
+        own = {name: np.concatenate(some) for name, some in parts.items() if some[0] is not None}
     packages = ("jaxcam", *simulator_of(scene).packages, "numpy")
     return Header(
         task=config.task,
@@ -89,6 +101,8 @@ def new_header(config: CollectConfig, task: Task, scene: World) -> Header:
         nv=scene.nv,
         world_from_camera=np.concatenate(poses),
         versions={name: version(name) for name in packages},
+        optics=said_optics(config),
+        **own,
     )
 
 

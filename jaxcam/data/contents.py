@@ -50,6 +50,8 @@ _ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
     "cameras": ("fovy_deg",),
 }
 _DATASETS = ("cameras/world_from_camera", "mask/train", "mask/valid")
+_WHERE_THERE = ("cameras/K", "cameras/distortion")
+"""Datasets that only files have whose cameras differ in these."""
 _OF_DEMOS = ("num_samples", "seed", "cameras")
 
 
@@ -80,6 +82,9 @@ def seal_of_all(file: h5py.File, arrays: list[Mapping[str, np.ndarray]]) -> str:
     for name in _DATASETS:
         item: Any = file.get(name)
         _add(digest, name, None if item is None else item[()])
+    for name in (name for name in _WHERE_THERE if name in file):
+        item = file[name]
+        _add(digest, name, item[()])
     for i, demo in enumerate(arrays):
         _add_attributes(digest, file, f"data/demo_{i}", _OF_DEMOS)
         for name, array in demo.items():
@@ -129,9 +134,9 @@ def check_about(path: Path, about: Mapping[str, Any]) -> None:
             possible, wanted = type(value) is int, "a whole number"
         elif name == "fovy_deg":
             possible, wanted = type(value) in (int, float), "a number"
-        elif name == "versions":
+        elif name in ("versions", "optics"):
             texts = value.values() if isinstance(value, dict) else [None]
-            possible, wanted = all(isinstance(x, str) for x in texts), "names with versions"
+            possible, wanted = all(isinstance(x, str) for x in texts), f"names with {name}"
         else:
             continue
         if not possible:

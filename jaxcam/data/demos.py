@@ -12,6 +12,7 @@ A file holds no pictures; they are rendered from its states (`jaxcam.data.pictur
       start/{geom_size, fixtures}    what else fixes the episode (`jaxcam.sim.types.Start`)
     cameras/world_from_camera [N, 4, 4]   OpenCV axes
     cameras/fovy_deg                      vertical field of view
+    cameras/K [N, 3, 3], distortion [N, 9]  if cameras differ, see `jaxcam.data.header`
     mask/{train, valid}                   names of the demonstrations
 
 Datasets carry Fletcher-32 checksums, and a complete file hashes of its content
@@ -23,7 +24,7 @@ import hashlib
 import json
 import logging
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,7 @@ from jaxcam.data.contents import (
     seal_of_all,
 )
 from jaxcam.data.hdf5 import Format, format_of, open_hdf5, reading
+from jaxcam.data.header import FORMAT, Header, read_camera_arrays
 from jaxcam.errors import DatasetError
 from jaxcam.rays import ROTATION_TOLERANCE
 from jaxcam.rays.rotations import (
@@ -53,7 +55,6 @@ from jaxcam.sim.task import Task
 from jaxcam.sim.types import Start
 from jaxcam.sim.world import World
 
-FORMAT = 1
 ROUNDED = 1e-6
 """Largest entry of |RᵀR - I| of a camera's rotation that is left as it is."""
 REMEDY = "Delete it and collect again, or copy it anew."
@@ -155,33 +156,6 @@ def starts_of(demos: Sequence[Demo]) -> Start:
 
 
 @dataclass(frozen=True)
-class Header:
-    """What a file says of itself."""
-
-    task: str
-    scene: str
-    n: int
-    m: int
-    seed: int
-    train: int
-    """Training demonstrations that the complete file has."""
-    valid: int
-    """Validation demonstrations that the complete file has."""
-    fovy_deg: float
-    nq: int
-    nv: int
-    world_from_camera: np.ndarray = field(repr=False)
-    """All cameras [N, 4, 4]: the schedule's, then one held-out camera per validation demo."""
-    versions: dict[str, str] = field(default_factory=dict)
-    format: int = FORMAT
-
-    def identity(self) -> dict[str, Any]:
-        """What two files must share to be parts of one dataset."""
-        names = [f.name for f in fields(self)]
-        return {k: getattr(self, k) for k in names if k not in ("world_from_camera", "versions")}
-
-
-@dataclass(frozen=True)
 class Demos:
     """A complete file, in memory: a few megabytes."""
 
@@ -262,7 +236,9 @@ def _orthonormal(path: Path, header: Header) -> Header:
 
 def fingerprint_of(header: Header, demos: Sequence[Demo]) -> str:
     """Hash of all states, commands, starts and cameras: the name of what is made from them."""
-    digest = hashlib.sha256(np.ascontiguousarray(header.world_from_camera).tobytes())
+    digest = hashlib.sha256()
+    for array in header.arrays.values():
+        digest.update(np.ascontiguousarray(array).tobytes())
     for demo in demos:
         for array in (demo.states, demo.actions, demo.geom_size, demo.fixtures, demo.cameras):
             digest.update(np.ascontiguousarray(array).tobytes())
@@ -338,7 +314,10 @@ def _read_header(path: Path, file: h5py.File) -> Header:
         )
     check_about(path, about)
     try:
-        return Header(world_from_camera=poses, **about)
+        group: Any = file["cameras"]
+        return Header(
+            world_from_camera=poses, **read_camera_arrays(path, group, len(poses)), **about
+        )
     except TypeError as error:
         raise DatasetError(f"{path}: incomplete jaxcam header ({error}).") from error
 

@@ -22,13 +22,14 @@ from jaxcam.config.sizes import rows_and_columns
 from jaxcam.console.progress import progress
 from jaxcam.data.caches import PICTURES_AT_ONCE, Cache, is_blank
 from jaxcam.data.cameras import require_possible
-from jaxcam.data.demos import Demo, Demos, Header
+from jaxcam.data.demos import Demo, Demos
+from jaxcam.data.header import Header
 from jaxcam.data.samples import Layout
 from jaxcam.errors import SimError
 from jaxcam.files.locks import exclusive
 from jaxcam.interrupts import serve_parent
-from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.sim import make_painter, make_task, painter_of
+from jaxcam.sim.lenses import SCALE
 from jaxcam.sim.painter import Painter
 from jaxcam.sim.types import View
 from jaxcam.sim.world import World
@@ -70,6 +71,7 @@ def load_pictures(
     """
     require_possible(demos)
     look = painter_of(_scene(demos.header)).look()
+    look += "" if demos.header.distortion is None else f"-lens{SCALE}x"
     name = f"{demos.path.stem}-{demos.fingerprint}-{resolution}px-{look}.npy"
     path = demos.path.parent / "frames" / name
     cache = cache_of(path, demos, resolution)
@@ -173,15 +175,15 @@ def draw_views(
 
 
 @functools.cache
-def _renderer(task_name: str, scene_name: str, resolution: int | str) -> Painter:
-    task = make_task(task_name)
-    return make_painter(task.scene(scene_name), *rows_and_columns(resolution), varied=task.varied)
+def _renderer(task_name: str, scene_name: str, resolution: int | str, lenses: bool) -> Painter:
+    task, size = make_task(task_name), rows_and_columns(resolution)
+    return make_painter(task.scene(scene_name), *size, varied=task.varied, lenses=lenses)
 
 
 def _draw_view(task: str, scene: str, resolution: int | str, view: View) -> np.ndarray:
     """Pictures of a view; if some are blank, by another renderer, once."""
     for _ in range(2):
-        pictures = _renderer(task, scene, resolution).rgb(view)
+        pictures = _renderer(task, scene, resolution, view.lens is not None).rgb(view)
         blank = sum(map(is_blank, pictures))
         if not blank:
             return pictures
@@ -205,11 +207,12 @@ def views_of(
     which = np.arange(demo.length * cameras) if which is None else which
     t, camera = np.divmod(which, cameras)
     count = len(which)
-    K = intrinsics(demos.header.fovy_deg, *rows_and_columns(resolution))
+    rows, lens = demo.cameras[camera], demos.header.distortion
     return View(
         qpos=demo.qpos[t],
         geom_size=np.broadcast_to(demo.geom_size, (count, *demo.geom_size.shape)),
         fixtures=np.broadcast_to(demo.fixtures, (count, *demo.fixtures.shape)),
-        K=np.broadcast_to(K, (count, 3, 3)),
-        world_from_camera=demos.header.world_from_camera[demo.cameras[camera]],
+        K=demos.header.intrinsics(*rows_and_columns(resolution))[rows],
+        world_from_camera=demos.header.world_from_camera[rows],
+        lens=None if lens is None else lens[rows],
     )

@@ -24,12 +24,12 @@ from jaxcam.data.contents import ARRAYS, OLD_SEAL, SEAL, check_about, check_arra
 from jaxcam.data.demos import (
     Demo,
     Demos,
-    Header,
     fingerprint_of,
     read_demos,
     read_unfinished,
     seal_of,
 )
+from jaxcam.data.header import Header
 from jaxcam.errors import DatasetError
 from jaxcam.files.locks import InUseError, NamedLock
 
@@ -190,7 +190,8 @@ class DemoWriter:
         if not (self.part / HEADER).exists():
             about = json.dumps({**header.identity(), "versions": header.versions})
             content = io.BytesIO()
-            np.savez(content, about=about, world_from_camera=header.world_from_camera)
+            arrays: dict[str, Any] = {"about": about, **header.arrays}
+            np.savez(content, **arrays)
             self._write(self.part / HEADER, content.getvalue())
         for file in self.part.glob("demo_*.npz"):
             if name := re.fullmatch(r"demo_(\d+)", file.stem, re.ASCII):
@@ -236,7 +237,7 @@ def _read_header(path: Path) -> Header:
         with np.load(path, allow_pickle=False) as file:
             about = json.loads(str(file["about"]))
             check_about(path, about)
-            return Header(world_from_camera=file["world_from_camera"], **about)
+            return Header(**about, **{name: file[name] for name in file.files if name != "about"})
     except _UNREADABLE as error:
         raise DatasetError(
             f"{path}: an unfinished dataset that cannot be read ({error}). Delete the folder "
@@ -262,7 +263,8 @@ def _file_of(header: Header, demos: list[Demo]) -> bytes:
         total = sum(demo.length for demo in demos)
         data.attrs.update(total=total, env_args=json.dumps(env), jaxcam=json.dumps(about))
         cameras = file.create_group("cameras")
-        cameras.create_dataset("world_from_camera", data=header.world_from_camera, fletcher32=True)
+        for key, array in header.arrays.items():
+            cameras.create_dataset(key, data=array, fletcher32=True)
         cameras.attrs["fovy_deg"] = header.fovy_deg
         names = [f"demo_{i}" for i in range(len(demos))]
         mask = file.create_group("mask")

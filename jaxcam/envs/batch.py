@@ -113,7 +113,8 @@ class Batch:
         else:
             old = self._now
             start = Start(*_replaced(old.start, again, begun.start))
-            cameras = Cameras(*_replaced(old.cameras, again, cameras))
+            poses = _replaced(old.cameras[:3], again, cameras[:3])
+            cameras = Cameras(poses[0], poses[1], poses[2])
             state = self.engine.restart(old.progress.state, start, again)
             fresh = _each_on_its_own(begin(state, self.horizon))
             progress = fresh._replace(
@@ -207,7 +208,7 @@ class Batch:
         if not rows.any():
             return
         now, state = self.now, self.now.progress.state
-        sensed = Instant(*(np.asarray(x, float) for x in (state.qpos, state.grip_position)))
+        sensed = Instant._make(np.asarray(x, float) for x in Instant.of(state, now.progress.taken))
         shown = observe(self.painter, sensed, now.start, now.cameras, rows)
         shown["state"] = shown.pop("proprio")
         for name, new in shown.items():

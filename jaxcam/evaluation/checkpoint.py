@@ -16,6 +16,7 @@ from jaxcam.evaluation.evaluator import Evaluated, Evaluator
 from jaxcam.files.jsonl import append_jsonl
 from jaxcam.files.locks import exclusive
 from jaxcam.files.video import grid, write_video
+from jaxcam.reports.names import file_name
 from jaxcam.results.protocol import missing
 from jaxcam.results.rows import Row
 from jaxcam.results.stats import Estimate, latest_rows, success_rate
@@ -78,16 +79,16 @@ def rows_of(rows: Sequence[Row], evaluator: Evaluator, step: int, wanted: Wanted
 
     Args:
         rows: Of a run, from `read_run_rows`.
-        evaluator: Rows of another width, engine or ensembling are not its.
+        evaluator: Rows of another width, engine, ensembling or of other conditions are not its.
         step: Updates of the checkpoint.
         wanted: Which pairs.
     """
-    same = (step, wanted.split, evaluator.width, evaluator.engine_name, evaluator.ensemble)
+    way = (evaluator.width, evaluator.engine_name, evaluator.ensemble)
+    same = (step, wanted.split, way, tuple(evaluator.conditions.said.values()))
     return [
         row
         for row in rows
-        if row.pair < wanted.pairs
-        and (row.step, row.split, row.width, row.engine, row.ensemble) == same
+        if row.pair < wanted.pairs and (row.step, row.split, row.way, row.conditions) == same
     ]
 
 
@@ -100,6 +101,7 @@ def _run_missing(
     rows = _rows_so_far(evaluator, candidate, wanted)
     turns = -(-len(missing(rows, wanted.pairs)) // most)
     what = f"step {candidate.step}" if candidate.step else "rollouts"
+    what = ", ".join(filter(None, [what, evaluator.conditions.words]))
     with progress(console, what, horizon * turns) as advance:
         while batch := missing(rows, wanted.pairs)[:most]:
             each = -(-len(batch) // processes)
@@ -192,7 +194,9 @@ def _write_videos(
     for name, chosen in (("", first), ("failures-", failures)):
         if chosen:
             folder: Path = candidate.folder / "videos"
-            file = folder / f"{name}{wanted.split}-{candidate.step:06d}.mp4"
+            words = "-".join([wanted.split, *evaluator.conditions.words.split()])
+            safe = file_name(words)  # lenses are written with colons
+            file = folder / f"{name}{safe}-{candidate.step:06d}.mp4"
             try:
                 tiles = grid([clips[i] for i in chosen], rows=[rows[i] for i in chosen])
                 write_video(file, tiles, fps=10)

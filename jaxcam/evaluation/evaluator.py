@@ -4,7 +4,7 @@ import contextlib
 import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -13,10 +13,12 @@ import numpy as np
 from jax.sharding import Mesh
 from jax.tree_util import Partial
 
-from jaxcam.config.names import Rotations, SceneName
+from jaxcam.config.conditions import Conditions
+from jaxcam.config.names import RayFrame, RaysFrom, Rotations, SceneName
 from jaxcam.config.sizes import rows_and_columns
 from jaxcam.data.pairs import Pairs, make_pairs
 from jaxcam.devices import copied, data_mesh, spread
+from jaxcam.evaluation.conditions import ConditionedPairs
 from jaxcam.files.paths import absolute
 from jaxcam.models import Policy
 from jaxcam.rays import Camera, spherical
@@ -80,6 +82,16 @@ class Setting(Protocol):
     @property
     def rotations(self) -> Rotations:
         """What the rotation vectors of eef_abs are counted from."""
+        ...
+
+    @property
+    def rays_from(self) -> RaysFrom:
+        """Which intrinsics the policy is told."""
+        ...
+
+    @property
+    def ray_frame(self) -> RayFrame:
+        """In which frame the policy is told its cameras."""
         ...
 
     @property
@@ -152,6 +164,7 @@ class Candidate:
             execute=ahead if rate else self.policy.execute,
             obs_steps=spec.obs_steps,
             ensembling=rate,
+            ray_frame=evaluator.config.ray_frame,
         )
 
     def _call(self, evaluator: "Evaluator") -> Partial:
@@ -173,6 +186,7 @@ class Evaluator:
             width can change a result's last digits; it is kept in each row.
         engine: That simulates them; `config.engine` when None.
         ensemble: Rate of temporal ensembling, 0 is off; `config.ensemble` when None.
+        conditions: Under which the pairs are run.
         seen: Cameras that training saw [C, 4, 4], which the pairs of `train` need.
     """
 
@@ -182,20 +196,28 @@ class Evaluator:
         width: int = 50,
         engine: str | None = None,
         ensemble: float | None = None,
+        conditions: Conditions | None = None,
         seen: np.ndarray | None = None,
     ) -> None:
         self.config, self.width, self.seen = config, width, seen
         self.ensemble = config.ensemble if ensemble is None else ensemble
         self.task = make_task(config.task)
         self.task.require()
+        self.conditions = (conditions or Conditions()).of_task(self.task.fovy_deg)
         self.scene = self.task.scene(config.scene)
         self.engine_name = engine_name(engine or config.engine, self.scene)
         varied = self.task.varied
         controller = controller_of(config.action_space)
         self.engine = make_engine(self.engine_name, self.scene, controller, varied)
+        self.size = rows_and_columns(config.resolution)
         self.renderer = make_painter(
-            self.scene, *rows_and_columns(config.resolution), varied=varied
+            self.scene,
+            *self.size,
+            varied=varied,
+            engine=self.engine_name,
+            lenses=bool(self.conditions.lens),
         )
+        self._seen = ConditionedPairs(self.task, self.scene, self.conditions, config.rays_from).seen
 
     def run(
         self,
@@ -218,16 +240,22 @@ class Evaluator:
         # Always worlds for `width`: neither policy nor compiled physics sees another size.
         filled = [*pairs, *[pairs[-1]] * (self.width - len(pairs))]
         chosen = self.pairs(split, filled)
-        K = intrinsics(self.task.fovy_deg, *rows_and_columns(self.config.resolution))
+        sight = self._seen(chosen, split, filled, self.size)
         episodes = Episodes(
             chosen.start,
-            K=np.broadcast_to(K, (*chosen.cameras.shape[:2], 3, 3)),
+            K=sight.K,
             world_from_camera=chosen.cameras,
             alive=np.arange(self.width) < len(pairs),
+            lens=sight.lens,
+            claimed=sight.claimed,
         )
         with candidate.acting(self) as agent:
             done = rollout(agent, self.task, self.engine, self.renderer, episodes, tick)
-        return self._rows(candidate, split, pairs, chosen, done, agent.causes), done
+        rows = self._rows(candidate, split, pairs, chosen, done, agent.causes)
+        if sight.fovy_deg is not None:
+            angles = map(float, sight.fovy_deg)
+            rows = [replace(row, fovy_deg=fovy) for row, fovy in zip(rows, angles, strict=False)]
+        return rows, done
 
     def _rows(
         self,
@@ -269,6 +297,7 @@ class Evaluator:
                 width=self.width,
                 episode_seed=chosen.seeds[i],
                 cause=causes.get(i) if status == "policy" else None,
+                **self.conditions.said,
             )
             for i, pair in enumerate(pairs)
             for status, success in [_outcome(done, i)]
@@ -302,10 +331,9 @@ class Evaluator:
     def sight(self, split: str, pair: int) -> tuple[np.ndarray, np.ndarray]:
         """What a policy sees at a pair's start: picture uint8 [H, W, 3] and ray-map [H, W, 6]."""
         _, cameras, start = self.pairs(split, [pair])
-        size = rows_and_columns(self.config.resolution)
-        K = intrinsics(self.task.fovy_deg, *size)[None]
+        K = intrinsics(self.task.fovy_deg, *self.size)[None]
         view = View(start.qpos, start.geom_size, start.fixtures, K, cameras[:, 0])
-        camera = Camera(K[0], cameras[0, 0], *size)
+        camera = Camera(K[0], cameras[0, 0], *self.size)
         rays = camera.in_frame(np.linalg.inv(self.scene.world_from_base)).plucker()
         return self.renderer.rgb(view)[0], np.asarray(rays)
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from rich.console import Console
 
 from jaxcam.config.commands import EvaluateConfig
+from jaxcam.config.conditions import Conditions
 from jaxcam.config.foreign import ForeignConfig, ObsMap
 from jaxcam.config.sizes import rows_and_columns
 from jaxcam.console.words import plain_line
@@ -28,7 +29,7 @@ from jaxcam.reports.run_page import write_report
 from jaxcam.results.stats import causes, latest_rows, success_rate
 from jaxcam.runs.environment import record_environment
 from jaxcam.runs.foreign import ForeignRecord, keep_record
-from jaxcam.runs.rollouts import read_run_rows
+from jaxcam.runs.rollouts import as_usual, read_run_rows
 from jaxcam.sim import engine_name, make_task, simulator_of
 from jaxcam.sim.actions import action_dim
 from jaxcam.sim.rollout import Agent
@@ -100,17 +101,18 @@ def evaluate_foreign(config: EvaluateConfig, console: Console | None) -> Path:
     if console:
         words = plain_line(_told(record, names))
         console.print(words, soft_wrap=True, highlight=False, markup=False)
-    evaluator = Evaluator(record, config.width, engine)
     candidate = ForeignPolicy(record, source, names, folder)
     wanted_pairs = Wanted(config.split, config.pairs, config.videos)
-    try:
-        evaluate(evaluator, candidate, wanted_pairs, console)
-    except NoServerError as error:
-        raise NoServerError(
-            f"{error} Rollouts of the batches that were finished are kept, and the same command "
-            "goes on with the others."
-        ) from error
-    _conclude(config, folder, console)
+    for conditions in config.conditions(Conditions()):
+        evaluator = Evaluator(record, config.width, engine, conditions=conditions)
+        try:
+            evaluate(evaluator, candidate, wanted_pairs, console)
+        except NoServerError as error:
+            raise NoServerError(
+                f"{error} Rollouts of the batches that were finished are kept, and the same "
+                "command goes on with the others."
+            ) from error
+        _conclude(config, folder, evaluator.conditions, record, console)
     return folder
 
 
@@ -160,18 +162,27 @@ def _told(record: ForeignRecord, names: Names) -> str:
     )
 
 
-def _conclude(config: EvaluateConfig, folder: Path, console: Console | None) -> None:
-    """Draws, writes the page and tells the result."""
-    rows = [
+def _conclude(
+    config: EvaluateConfig,
+    folder: Path,
+    conditions: Conditions,
+    record: ForeignRecord,
+    console: Console | None,
+) -> None:
+    """Draws, writes the page and tells the result under some conditions."""
+    all_rows = [
         row
         for row in latest_rows(read_run_rows(folder))
         if row.split == config.split and row.pair < config.pairs
     ]
-    write_plots(folder / "plots", [], rows)
+    write_plots(folder / "plots", [], as_usual(all_rows, record))
     page = write_report(folder)
+    rows = [row for row in all_rows if row.conditions == tuple(conditions.said.values())]
+    words = f", {conditions.words}" if conditions.words else ""
     if console:
         console.print(
-            f"{folder.name}: success on {config.pairs} {config.split} pairs: {success_rate(rows)}",
+            f"{folder.name}: success on {config.pairs} {config.split} pairs{words}: "
+            f"{success_rate(rows)}",
             soft_wrap=True,
             markup=False,
         )

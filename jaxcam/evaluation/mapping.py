@@ -165,14 +165,18 @@ def observation_sent(
     """
     image, state = obs["image"][episode], obs["proprio"][episode]
     K, pose = obs["K"][episode], obs["base_from_camera"][episode]
+    lens = obs["distortion"][episode] if "distortion" in obs else None
     if state.ndim > 1:  # cameras stand still: what holds now, holds for all
         image, K, pose = image.swapaxes(0, 1), K[-1], pose[-1]
+        lens = None if lens is None else lens[-1]
     ours: dict[str, Any] = {STATE: np.array(state, np.float32), PROMPT: prompt}
     ours |= zip(CHANCE, (call, episode), strict=True)
     for v, name in enumerate(numbered_views(len(K))):
         ours[f"{IMAGES}{name}"] = np.array(image[v])
         ours[f"{CAMERA}{name}.intrinsics"] = np.array(K[v], np.float32)
         ours[f"{CAMERA}{name}.base_from_camera"] = np.array(pose[v], np.float32)
+        if lens is not None:
+            ours[f"{CAMERA}{name}.distortion"] = np.array(lens[v], np.float32)
     return ours
 
 

@@ -6,6 +6,7 @@ that are wrong: a policy that does not care where its camera is does not use wha
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -42,7 +43,7 @@ def action_errors(
         step: Updates of the checkpoint.
     """
     act = jax.jit(policy.act)
-    scale = dataset.stats()["action_std"]
+    scale = replace(dataset, axes=None).stats()["action_std"]  # not as cameras see them
     rows = []
     groups = dict.fromkeys(part.group for part in parts.all[parts.train :])
     for group in groups:

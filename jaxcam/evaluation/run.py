@@ -11,6 +11,7 @@ from pathlib import Path
 from rich.console import Console
 
 from jaxcam.config.commands import EvaluateConfig
+from jaxcam.config.conditions import Conditions
 from jaxcam.config.train import TrainConfig
 from jaxcam.data.pairs import cameras_seen
 from jaxcam.devices import gathered, is_first, joined
@@ -24,10 +25,10 @@ from jaxcam.reports.run_page import write_report
 from jaxcam.results.protocol import missing, protocol_of
 from jaxcam.results.rows import SEEN
 from jaxcam.results.stats import latest_rows, success_rate
-from jaxcam.runs.identity import RECORDED
+from jaxcam.runs.identity import RECORDED, read_config
 from jaxcam.runs.manifests import sides
 from jaxcam.runs.metrics import read_metrics
-from jaxcam.runs.rollouts import read_run_rows
+from jaxcam.runs.rollouts import as_usual, read_run_rows
 from jaxcam.training.checkpoint import checkpoint_steps, load_policy_inputs, rebuild_policy
 
 
@@ -52,49 +53,61 @@ def evaluate_run(config: EvaluateConfig, folder: Path, console: Console | None) 
     if config.protocol == "paper":
         steps, lacking = steps_to_judge(folder, inputs.config)
     policy = rebuild_policy(inputs)
-    seen = None
+    cameras = None
     if config.split == SEEN:
         data = next((str(side["data"]) for side in sides(folder).values()), None)
-        seen = cameras_seen(inputs.config, data)
-    evaluator = Evaluator(inputs.config, config.width, config.engine, config.ensemble, seen)
-    rows = read_run_rows(folder)
+        cameras = cameras_seen(inputs.config, data)
     wanted = Wanted(config.split, config.pairs)
-    open_steps = [s for s in steps if missing(rows_of(rows, evaluator, s, wanted), config.pairs)]
-    for step in gathered(open_steps)[0]:
-        try:
-            if step != inputs.step:
-                inputs = load_policy_inputs(folder, step)
-        except CheckpointError as error:
-            lacking.append(str(error))
-            continue
-        videos = config.videos if step == steps[0] else 0
-        candidate = Candidate(policy, inputs.params, folder, step)
-        evaluate(evaluator, candidate, replace(wanted, videos=videos), console)
-    if is_first():
-        _conclude(config, folder, steps, console)
+    for conditions in config.conditions(inputs.config.conditions):
+        evaluator = Evaluator(
+            inputs.config, config.width, config.engine, config.ensemble, conditions, cameras
+        )
+        rows = read_run_rows(folder)
+        open_steps = [
+            s for s in steps if missing(rows_of(rows, evaluator, s, wanted), wanted.pairs)
+        ]
+        for step in gathered(open_steps)[0]:
+            try:
+                if step != inputs.step:
+                    inputs = load_policy_inputs(folder, step)
+            except CheckpointError as error:
+                lacking += [] if str(error) in lacking else [str(error)]
+                continue
+            videos = config.videos if step == steps[0] else 0
+            candidate = Candidate(policy, inputs.params, folder, step)
+            evaluate(evaluator, candidate, replace(wanted, videos=videos), console)
+        if is_first():
+            _conclude(config, folder, steps, evaluator.conditions, console)
     if lacking:
         raise CheckpointError(" ".join(lacking))
 
 
 def _conclude(
-    config: EvaluateConfig, folder: Path, steps: Sequence[int], console: Console | None
+    config: EvaluateConfig,
+    folder: Path,
+    steps: Sequence[int],
+    conditions: Conditions,
+    console: Console | None,
 ) -> None:
-    """Draws, writes the run's report and tells the result."""
-    rows = [
+    """Draws, writes the run's report and tells the result under some conditions."""
+    all_rows = [
         r
         for r in latest_rows(read_run_rows(folder))
         if r.step in steps and r.split == config.split and r.pair < config.pairs
     ]
     if config.split != SEEN:  # the plots are of held-out cameras
-        write_plots(folder / "plots", read_metrics(folder), rows)
+        usual = as_usual(all_rows, read_config(folder))
+        write_plots(folder / "plots", read_metrics(folder), usual)
     report = write_report(folder)
+    rows = [row for row in all_rows if row.conditions == tuple(conditions.said.values())]
     if console:
         what = f"{len(steps)} checkpoints" if len(steps) > 1 else f"step {steps[0]}"
+        words = f"{what}, {conditions.words}" if conditions.words else what
         pairs = f"{config.split} pairs"
         if config.split == SEEN:
             pairs = "new starts seen by training's cameras (memory, no result)"
         console.print(
-            f"{folder.name}: success on {config.pairs} {pairs} at {what}: {success_rate(rows)}",
+            f"{folder.name}: success on {config.pairs} {pairs} at {words}: {success_rate(rows)}",
             soft_wrap=True,
             markup=False,
         )

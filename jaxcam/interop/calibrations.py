@@ -9,16 +9,23 @@ import hashlib
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 
-from jaxcam.config.names import Conditioning
+from jaxcam.config.names import ActionFrame, Conditioning
 from jaxcam.data.recorded.recording import Calibration, Episode, Placement, Recording, Sight
 from jaxcam.errors import CameraError, ConfigError, DatasetError, closest
 from jaxcam.files.paths import home
 from jaxcam.interop.cameras.files import CamerasFile, Entry, read_cameras, read_notes
+from jaxcam.interop.cameras.grips import (
+    GripEntries,
+    grip_numbers,
+    poses_between,
+    poses_of_grip,
+)
 from jaxcam.rays import Camera
 from jaxcam.rays.lens import PACKED
 
@@ -60,7 +67,7 @@ def calibrated(
         replace(
             episode,
             sights={
-                view: _calibrated(sight, episode, number, view, files)
+                view: _calibrated(sight, episode, number, view, files, recording)
                 for view, sight in episode.sights.items()
             },
         )
@@ -96,18 +103,24 @@ def sources(recording: Recording) -> list[str]:
     return lines
 
 
-def require_calibrated(recording: Recording, conditioning: Conditioning) -> None:
+def require_calibrated(
+    recording: Recording, conditioning: Conditioning, action_frame: ActionFrame = "base"
+) -> None:
     """Refuses a recording whose cameras a policy would not be told.
 
     Args:
         recording: After `calibrated`.
         conditioning: How the policy is told where its cameras are.
+        action_frame: What it predicts actions in.
 
     Raises:
         DatasetError: Naming the views without a calibration, what is missing, and the shortest way
             to get one.
     """
-    if conditioning == "none":
+    needs = "--action-frame camera" if action_frame == "camera" else ""
+    if conditioning != "none":
+        needs = f"--conditioning {conditioning}"
+    if not needs:
         return
     missing = []
     for view in recording.views:
@@ -119,10 +132,11 @@ def require_calibrated(recording: Recording, conditioning: Conditioning) -> None
             missing.append((words, _entries(view, sight)))
     if missing:
         raise DatasetError(
-            f"{recording.path}: cameras without a calibration, which --conditioning {conditioning} "
+            f"{recording.path}: cameras without a calibration, which {needs} "
             f"needs: {'; '.join(words for words, _ in missing)}. The shortest way: measure them, "
             f"write cameras.json, and give --cameras cameras.json, for example {missing[0][1]} "
-            f"({PAGE} has the conventions). Or train without: --conditioning none."
+            f"({PAGE} has the conventions). Or train without: --conditioning none"
+            f"{' --action-frame base' if action_frame == 'camera' else ''}."
         )
 
 
@@ -151,7 +165,12 @@ def _entries(view: str, sight: Sight) -> str:
 
 
 def _calibrated(
-    sight: Sight, episode: Episode, number: int, view: str, files: Sequence[CamerasFile]
+    sight: Sight,
+    episode: Episode,
+    number: int,
+    view: str,
+    files: Sequence[CamerasFile],
+    recording: Recording,
 ) -> Sight:
     """What a camera saw of an episode, with its calibration if anybody says one."""
     where = f"episode '{episode.name}', view '{view}'"
@@ -159,11 +178,14 @@ def _calibrated(
     if result is None:
         names, views = (episode.name, str(number)), (view, IMAGES + view)
         entries = [(str(file.path), file.of(names, views)) for file in files]
-        optics, pose = _optics(sight, entries, where), _pose(sight, entries, names)
+        optics, pose = (
+            _optics(sight, entries, where),
+            _pose(sight, entries, names, (recording, episode)),
+        )
         K, distortion, K_source = optics or (None, None, "")
         base_from_camera, source = pose or (None, "")
         if K is None or distortion is None or base_from_camera is None:
-            half = Placement(base_from_camera, source, K, K_source)
+            half = Placement(base_from_camera, source, K, K_source, distortion)
             return replace(sight, placement=half if optics or pose else None)
         words = source if source == K_source else f"K: {K_source}; pose: {source}"
         result = Calibration(K, base_from_camera, distortion, words)
@@ -179,21 +201,34 @@ def _optics(
         if entry.optics:
             K = entry.optics.at(sight.height, sight.width, f"{path}: {where}")
             return K, entry.optics.distortion, path
-    if sight.placement and sight.placement.K is not None:
-        return sight.placement.K, np.zeros(PACKED), sight.placement.K_source
+    own = sight.placement
+    if own and own.K is not None:
+        distortion = np.zeros(PACKED) if own.distortion is None else own.distortion
+        return own.K, distortion, own.K_source
     return None
 
 
 def _pose(
-    sight: Sight, entries: list[tuple[str, Entry]], names: tuple[str, ...]
+    sight: Sight,
+    entries: list[tuple[str, Entry]],
+    names: tuple[str, ...],
+    of: tuple[Recording, Episode],
 ) -> tuple[np.ndarray, str] | None:
     """Base from camera, and who says so first."""
     for path, entry in entries:
-        if entry.pose and (pose := entry.pose.of(names)) is not None:
+        if entry.pose and (pose := entry.pose.of(names, partial(_hand, *of))) is not None:
             return pose, path
     if sight.placement and sight.placement.base_from_camera is not None:
         return sight.placement.base_from_camera, sight.placement.source
     return None
+
+
+def _hand(recording: Recording, episode: Episode, grip: GripEntries, where: str) -> np.ndarray:
+    """The grip's poses at the moments of an episode's pictures, [T, 4, 4]."""
+    columns = grip_numbers(recording.state_names, grip, f"{where}, grip")
+    poses = poses_of_grip(episode.state, columns, f"{where}, episode '{episode.name}'")
+    steps = np.arange(episode.length) + grip.delay_ms / 1000 * recording.rate
+    return poses_between(poses, steps)
 
 
 def _check(calibration: Calibration, sight: Sight, length: int, where: str) -> None:

@@ -4,11 +4,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from jaxcam.config.fields import overrides, with_overrides
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
 from jaxcam.models.act.config import ACT_PRESETS, ActConfig
 from jaxcam.models.act.policy import FAMILY as ACT
+from jaxcam.models.action_frame import in_action_frame
 from jaxcam.models.diffusion.policy import FAMILY as DIFFUSION
 from jaxcam.models.policy import Batch, Family, Key, Obs, Params, Policy, PolicySpec, Stats
 from jaxcam.models.smolvla.policy import FAMILY as SMOLVLA
@@ -37,6 +40,9 @@ FAMILIES: dict[str, Family[Any]] = {
 """Every kind of policy by the name it has on the command line."""
 
 
+_OF_THE_ACTIONS = {"action_frame", "absolute_actions", "base_from_actions"}
+
+
 def make_policy(config: Any, spec: PolicySpec, stats: Stats) -> Policy:
     """Make a policy's three functions.
 
@@ -52,15 +58,18 @@ def make_policy(config: Any, spec: PolicySpec, stats: Stats) -> Policy:
         ConfigError: If settings, sizes and statistics do not go together.
     """
     family = next(f for f in FAMILIES.values() if f.config is type(config))
-    return family.make(config, spec, stats)
+    return in_action_frame(family.make(config, spec, stats))
 
 
-def policy_settings(config: TrainConfig, prompts: Sequence[str]) -> Any:
+def policy_settings(
+    config: TrainConfig, prompts: Sequence[str], base_from_actions: np.ndarray | None = None
+) -> Any:
     """The network's settings that a run's resolved settings ask for.
 
     Args:
         config: Resolved settings of the run.
         prompts: What is asked for, in words: one thing, or the several that a dataset has.
+        base_from_actions: The frame that the actions are in [4, 4]; the base's when None.
 
     Raises:
         ConfigError: A change that `config.model` asks for is unknown or cannot work.
@@ -73,6 +82,16 @@ def policy_settings(config: TrainConfig, prompts: Sequence[str]) -> Any:
         )
     settings = family.conditioned(family.presets[config.preset], config.conditioning)
     settings = with_overrides(replace(settings, compute_dtype=config.precision), config.model)
+    if taken := overrides(config.model).keys() & _OF_THE_ACTIONS:
+        raise ConfigError(f"model: {min(taken)} follows from --action-frame and --action-space.")
+    if config.action_frame == "camera":
+        frame = np.eye(4) if base_from_actions is None else base_from_actions
+        settings = replace(
+            settings,
+            action_frame="camera",
+            absolute_actions=config.action_space == "eef_abs",
+            base_from_actions=tuple(tuple(map(float, row)) for row in frame),
+        )
     ahead = settings.chunk - settings.obs_steps + 1
     # A preset's number may be more than a chunk that is shortened has; one that is asked may not.
     if "execute" in overrides(config.model) and settings.execute > ahead:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax.typing import DTypeLike
 
 from jaxcam.config.fields import check_least
-from jaxcam.config.names import Conditioning, names_of
+from jaxcam.config.names import ActionFrame, Conditioning, names_of
 from jaxcam.errors import ConfigError, closest
 from jaxcam.models.resnet import NORMS
 
@@ -25,18 +25,37 @@ NOMINAL_POSE = (
 )
 
 
+UNMOVED = tuple(tuple(float(i == j) for j in range(4)) for i in range(4))
+TABLE_HEIGHT = 0.8 - 0.912
+"""Of the paper's table over the base, metres."""
+IN_ATTENTION = ("prope", "gta", "ray_rope")
+"""The ways that need attention between tokens that have a place in a picture."""
+
+
 @dataclass(frozen=True)
 class CameraConfig:
     """How a policy is told where its cameras are, and what it computes in."""
 
     conditioning: str = "late"
-    """How the policy is told where its cameras are: none, token, early, late or keypoints."""
+    """How the policy is told where its cameras are, see `jaxcam.models.fusion`."""
     twin_of: str = "late"
     """With conditioning none: the conditioning whose network is kept, fed with a fixed pose."""
     nominal_pose: tuple[tuple[float, ...], ...] = NOMINAL_POSE
-    """That fixed pose, base_from_camera, OpenCV axes."""
+    """That fixed pose, base_from_camera, OpenCV axes; also that of the view that warp makes."""
+    warp_fovy_deg: float = 45.0
+    """Vertical field of view of that view, degrees."""
+    warp_height: float = TABLE_HEIGHT
+    """Height of the plane that warp takes for what is seen, base frame, metres. The table's nominal
+    one: where scenes vary it, what is seen is off by as much as it."""
     ray_convention: Literal["jaxcam", "authors"] = "jaxcam"
     """Order and pixel offset of the ray-map; keypoints always use "jaxcam"."""
+    action_frame: str = "base"
+    """What the policy predicts actions in, base or camera: those of the first view at its newest
+    observation. Set by the run's setting of that name."""
+    absolute_actions: bool = False
+    """Whether actions are grip poses, rather than what these move by; for action_frame camera."""
+    base_from_actions: tuple[tuple[float, ...], ...] = UNMOVED
+    """The frame that the run's actions are in, base_from_world in a simulator; likewise."""
     compute_dtype: str = "float32"
     """Arithmetic of the networks, float32 or bfloat16; weights and rays are always float32."""
     obs_steps: ClassVar[int] = 1
@@ -44,13 +63,18 @@ class CameraConfig:
 
     def __post_init__(self) -> None:
         """Refuse names that do not exist, and a pose that is no matrix."""
-        if [len(row) for row in self.nominal_pose] != [4, 4, 4, 4]:
-            raise ConfigError(f"nominal_pose must be 4 rows of 4 numbers, got {self.nominal_pose}.")
+        for name in ("nominal_pose", "base_from_actions"):
+            if [len(row) for row in getattr(self, name)] != [4, 4, 4, 4]:
+                raise ConfigError(f"{name} must be 4 rows of 4 numbers, got {getattr(self, name)}.")
+        check_least(self, -1000, "warp_height")
+        if not 0 < self.warp_fovy_deg < 180:
+            raise ConfigError(f"warp_fovy_deg must be 0 to 180, got {self.warp_fovy_deg}.")
         check_known(
             self,
             conditioning=names_of(Conditioning),
             twin_of=names_of(Conditioning),
             ray_convention=("jaxcam", "authors"),
+            action_frame=names_of(ActionFrame),
             compute_dtype=("float32", "bfloat16"),
         )
 
@@ -58,6 +82,11 @@ class CameraConfig:
     def network(self) -> str:
         """The conditioning whose network is built, which an image-only twin shares."""
         return self.twin_of if self.conditioning == "none" else self.conditioning
+
+    @property
+    def frames_tokens(self) -> bool:
+        """Whether attention knows the cameras of its tokens."""
+        return self.network in IN_ATTENTION
 
     @property
     def dtype(self) -> DTypeLike:
@@ -93,6 +122,8 @@ class VisionConfig(CameraConfig):
     pool: str = "grid"
     """What becomes a token: every cell of the feature map (grid), or every one of the keypoints
     (keypoints), or only where these are in the image (softmax), as in Diffusion Policy."""
+    fold: int = 1
+    """Side of the blocks of cells that become one token, side by side, where tokens are cells."""
     keypoints: int = 32
     """Heat maps a view, when keypoints are pooled."""
     heat_gain: float = 25.0
@@ -110,7 +141,7 @@ class VisionConfig(CameraConfig):
     def __post_init__(self) -> None:
         """Refuse names that do not exist."""
         super().__post_init__()
-        check_least(self, 1, "encoder_depth encoder_width keypoints")
+        check_least(self, 1, "encoder_depth encoder_width keypoints fold")
         check_least(self, 0, "heat_gain")
         check_known(
             self,

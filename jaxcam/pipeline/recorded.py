@@ -10,7 +10,7 @@ from jaxcam.config.fields import overrides
 from jaxcam.config.names import ActionMeaning
 from jaxcam.config.sizes import rows_and_columns, size_name
 from jaxcam.config.train import TrainConfig
-from jaxcam.data.batches import Dataset
+from jaxcam.data.batches import Dataset, seen_by_cameras
 from jaxcam.data.recorded.fitting import keeping_shape
 from jaxcam.data.recorded.parts import HeldOut, Meaning, Parts, make_recorded, meaning_of, parts_of
 from jaxcam.data.recorded.pictures import load_recorded_pictures
@@ -88,7 +88,7 @@ class Recorded:
         given = vars(config)
         views = given["views"] or max(1, len(usual))
         conditioning = given["conditioning"] or preset.conditioning
-        require_calibrated(self.recording, conditioning)
+        require_calibrated(self.recording, conditioning, config.action_frame)
         parts = parts_of(self.recording, _held_out(config), views)
         config = replace(
             config,
@@ -111,10 +111,22 @@ class Recorded:
 
     def _check_given(self, config: TrainConfig) -> None:
         """Refuses settings that only a simulator has a use for."""
-        if simulated := config.given("scene rotations engine ensemble"):
+        of_simulators = "scene rotations engine ensemble fovy aspect centre lens eval_fovy"
+        if simulated := config.given(of_simulators):
             raise ConfigError(
                 f"{simulated[0]} is for tasks that are simulated, and this dataset was recorded; "
                 "leave it out."
+            )
+        if config.ray_frame != "base":
+            raise ConfigError(
+                f"--ray-frame {config.ray_frame} needs to know at each step where the base is in "
+                "that frame, and a recorded dataset tells of its cameras in the base alone: leave "
+                "it out."
+            )
+        if config.rays_from != "true":
+            raise ConfigError(
+                "--rays-from nominal needs a usual K, which recorded cameras have not: leave it "
+                "out."
             )
         for name in ("n", "m"):
             if getattr(config, name) is not None and config.task != RECORDED:
@@ -137,6 +149,11 @@ class Recorded:
     def sizes(self, config: TrainConfig) -> tuple[int, int]:
         """Numbers of an action, and of what the robot feels."""
         return len(self.recording.action_names), len(self.recording.state_names)
+
+    def base_from_actions(self, config: TrainConfig) -> np.ndarray:
+        """The frame that grip poses of the actions are in [4, 4]: the base's, as the state's."""
+        del config  # a recording does not say more
+        return np.eye(4)
 
     def interface(self, config: TrainConfig) -> Interface:
         """What a policy of the dataset is shown and answers, in the dataset's words."""
@@ -165,7 +182,8 @@ class Recorded:
         size = rows_and_columns(config.resolution)
         folder = absolute(config.data_dir)
         pictures = load_recorded_pictures(self.recording, parts, size, folder, console, wanted)
-        return make_recorded(self.recording, parts, pictures, self.meaning(config))
+        dataset = make_recorded(self.recording, parts, pictures, self.meaning(config))
+        return seen_by_cameras(dataset, config, self.base_from_actions(config))
 
     def conclude(
         self,

@@ -3,11 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 from rich.console import Console
 
+from jaxcam.config.conditions import OPTICS
 from jaxcam.config.datasets import CollectConfig
+from jaxcam.config.sizes import rows_and_columns
 from jaxcam.config.train import TrainConfig
-from jaxcam.data.batches import Dataset, make_dataset
+from jaxcam.data.batches import Dataset, make_dataset, seen_by_cameras
 from jaxcam.data.collection import collect
 from jaxcam.data.demos import read_demos
 from jaxcam.data.pictures import load_pictures
@@ -19,6 +22,8 @@ from jaxcam.evaluation.checkpoint import Wanted, evaluate
 from jaxcam.evaluation.evaluator import Candidate, Evaluator
 from jaxcam.files.paths import absolute
 from jaxcam.models import Policy, policy_settings
+from jaxcam.rays import invert
+from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.reports.camera_figures import ray_picture
 from jaxcam.reports.run_figures import write_plots
 from jaxcam.reports.run_page import write_report
@@ -27,7 +32,7 @@ from jaxcam.results.stats import Estimate
 from jaxcam.runs.folder import RunDir
 from jaxcam.runs.interface import Interface, simulated_interface
 from jaxcam.runs.metrics import read_metrics
-from jaxcam.runs.rollouts import read_rows, rows_file
+from jaxcam.runs.rollouts import as_usual, read_rows, rows_file
 from jaxcam.sim import engine_name, make_task
 from jaxcam.sim.actions import action_dim, space_of
 from jaxcam.sim.world import PROPRIO_DIM
@@ -67,6 +72,7 @@ class Simulated:
             return config
         header = read_demos(absolute(config.dataset), task=config.task, scene=config.scene).header
         counts = {"demos": header.train, "validation": header.valid, "n": header.n, "m": header.m}
+        counts |= dict.fromkeys(OPTICS, "") | header.optics
         for name, count in counts.items():
             if getattr(config, name) not in (count, getattr(TrainConfig, name)):
                 raise ConfigError(
@@ -78,6 +84,10 @@ class Simulated:
     def sizes(self, config: TrainConfig) -> tuple[int, int]:
         """Numbers of an action, and of what the robot feels."""
         return action_dim(config.action_space), PROPRIO_DIM
+
+    def base_from_actions(self, config: TrainConfig) -> np.ndarray:
+        """The world that grip poses of the actions are in [4, 4]."""
+        return invert(make_task(self.task).scene(config.scene).world_from_base)
 
     def interface(self, config: TrainConfig) -> Interface:
         """What a policy of the task is shown and answers, by name."""
@@ -103,7 +113,13 @@ class Simulated:
         wanted = samples.wanted(seeds, config.steps, config.batch, config.views, obs_steps)
         pictures = load_pictures(demos, config.resolution, console, wanted)
         space = space_of(config.action_space, config.rotations)
-        return make_dataset(demos, pictures, space, task.scene(config.scene))
+        scene = task.scene(config.scene)
+        dataset = make_dataset(demos, pictures, space, scene, config.ray_frame)
+        if config.rays_from == "nominal":
+            K = intrinsics(task.fovy_deg, *rows_and_columns(config.resolution))
+            usual = np.broadcast_to(K, dataset.K.shape).astype(np.float32)
+            dataset = replace(dataset, K=usual, distortion=None)
+        return seen_by_cameras(dataset, config, self.base_from_actions(config))
 
     def conclude(
         self,
@@ -116,7 +132,7 @@ class Simulated:
     ) -> None:
         """Evaluate the last checkpoint on held-out pairs, draw, and write the report."""
         del dataset  # new pairs are simulated
-        evaluator = Evaluator(config)
+        evaluator = Evaluator(config, conditions=config.conditions)
         step = int(state.step)
         candidate = Candidate(policy, own(state.eval_params), absolute(config.run_dir), step)
         wanted = Wanted(pairs=config.pairs, videos=config.videos)
@@ -124,7 +140,8 @@ class Simulated:
         if run is None:
             return
         _log_success(run, step, estimate)
-        rows = [row for row in read_rows(rows_file(run.path)) if row.step == step]
+        rows = as_usual(read_rows(rows_file(run.path)), config)
+        rows = [row for row in rows if row.step == step]
         write_plots(run.path / "plots", read_metrics(run.path), rows)
         save(ray_picture(*evaluator.sight("test", 0)), run.path / "pictures" / "rays.png")
         report = write_report(run.path)

@@ -6,6 +6,7 @@ This is all that training asks of them; nothing after it knows which kind it has
 from collections.abc import Sequence
 from typing import Protocol
 
+import numpy as np
 from rich.console import Console
 
 from jaxcam.config.train import TrainConfig
@@ -42,6 +43,14 @@ class Source(Protocol):
 
         Args:
             config: Resolved settings.
+        """
+        ...
+
+    def base_from_actions(self, config: TrainConfig) -> np.ndarray:
+        """The frame that grip poses of the actions are in [4, 4].
+
+        Args:
+            config: Settings.
         """
         ...
 

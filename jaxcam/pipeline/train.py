@@ -112,7 +112,7 @@ def policy_of(source: Source, config: TrainConfig, stats: Stats | None = None) -
     Raises:
         ConfigError: Its settings do not go together.
     """
-    settings = policy_settings(config, source.prompts)
+    settings = policy_settings(config, source.prompts, source.base_from_actions(config))
     action_dim, proprio_dim = source.sizes(config)
     height, width = rows_and_columns(config.resolution)
     spec = PolicySpec(

@@ -1,14 +1,16 @@
 """Rotations as matrices, rotation vectors and quaternions, for NumPy and JAX, batched."""
 
-from jaxcam.rays._arrays import Array, array_namespace, matmul
+from jaxcam.rays._arrays import Array, array_namespace, matmul, rigid
 
 __all__ = [
     "Array",
     "array_namespace",
+    "matmul",
     "matrix_from_quaternion",
     "matrix_from_rotvec",
     "nearest_rotation",
     "quaternion_from_matrix",
+    "rigid",
     "rotvec_from_matrix",
     "skew",
 ]

@@ -19,6 +19,7 @@ from jaxcam.results.rows import USUAL_WAY, Row
 from jaxcam.results.stats import Estimate, success_rate
 from jaxcam.runs.foreign import NOT_SAID
 from jaxcam.runs.identity import (
+    OF_CAMERAS,
     USUAL_SPACE,
     Settings,
     changes,
@@ -76,6 +77,14 @@ class Arm:
         """What its runs share."""
         return self.runs[0].settings
 
+    def setting(self, name: str) -> Any:
+        """One of its settings, as usual where it has it not.
+
+        Args:
+            name: Of the setting.
+        """
+        return self.settings.get(name, OF_CAMERAS.get(name))
+
     @functools.cached_property
     def rows(self) -> list[Row]:
         """The counted rows of all its runs."""
@@ -97,6 +106,11 @@ class Arm:
         way = self.settings["conditioning"]
         has_rays = way == "none" and self.network not in ("none", None)
         return f"twin of {self.network}" if has_rays else way
+
+    @property
+    def is_told_wrong(self) -> bool:
+        """Whether its policy was told poses with errors when it was evaluated."""
+        return any(map(self.settings.get, ("eval_pose_noise", "eval_pose_drift")))
 
     def against(self, other: "Arm") -> PairedDifference:
         """Its success minus another arm's on the pairs that both have; computed once."""
@@ -123,7 +137,7 @@ class Arm:
         if self.settings.get("preset") is not None:
             return changes(self.settings)
         views = usual_views(self.settings["task"])
-        usual = USUAL_WAY | {"views": views, "action_space": USUAL_SPACE}
+        usual = USUAL_WAY | OF_CAMERAS | {"views": views, "action_space": USUAL_SPACE}
         return {
             k: v for k, v in self.settings.items()
             if k not in _SAID and v not in (None, "", [], usual.get(k))
@@ -186,6 +200,16 @@ class ImageOnly(NamedTuple):
         return "its twin" if self.is_twin else "image only, not known to be its twin"
 
 
+OF_WHAT_IS_TOLD = ("pose_noise", "pose_noise_per", "ray_frame", "rays_from",
+                   "eval_pose_noise", "eval_pose_drift")  # fmt: skip
+"""Settings that an image-only policy does not notice."""
+
+
+def _told_apart(arm: Arm, *, network: bool = False) -> str:
+    """What an arm shares with the image-only arms that it is compared with."""
+    return context(arm, "conditioning", *OF_WHAT_IS_TOLD, network=network)
+
+
 class ImageOnlyArms:
     """All image-only arms, by what they are compared with.
 
@@ -200,10 +224,10 @@ class ImageOnlyArms:
     def __init__(self, arms: Sequence[Arm]) -> None:
         plain_arms = [arm for arm in arms if arm.settings["conditioning"] == "none"]
         self._twins = {self._key(arm): arm for arm in plain_arms if arm.network}
-        self._unknown = {context(a, "conditioning"): a for a in plain_arms if not a.network}
+        self._unknown = {_told_apart(a): a for a in plain_arms if not a.network}
         self._others: dict[str, list[Arm]] = {}
         for arm in plain_arms:
-            self._others.setdefault(context(arm, "conditioning"), []).append(arm)
+            self._others.setdefault(_told_apart(arm), []).append(arm)
 
     def of(self, arm: Arm) -> ImageOnly | None:
         """What an arm is compared with; None without any, and of an arm that is image-only."""
@@ -211,17 +235,17 @@ class ImageOnlyArms:
             return None
         if twin := self._twins.get(self._key(arm)):
             return ImageOnly(twin, True)
-        other = self._unknown.get(context(arm, "conditioning"))
+        other = self._unknown.get(_told_apart(arm))
         return other and ImageOnly(other, False)
 
     def others(self, arm: Arm) -> list[Arm]:
         """Image-only arms that differ from an arm in the network, too, where it has no twin."""
         lacks = self.of(arm) is None and arm.settings["conditioning"] not in ("none", NOT_SAID)
-        return self._others.get(context(arm, "conditioning"), []) if lacks else []
+        return self._others.get(_told_apart(arm), []) if lacks else []
 
     @staticmethod
     def _key(arm: Arm) -> Any:
-        return context(arm, "conditioning", network=True)
+        return _told_apart(arm, network=True)
 
 
 def group(runs: Iterable[Run]) -> list[Arm]:

@@ -18,6 +18,8 @@ from jaxcam.files.paths import absolute
 from jaxcam.files.whole import check_free, write_atomically
 from jaxcam.reports import paper
 from jaxcam.reports.arms import Arm, Run, context, group
+from jaxcam.reports.axes.fovy import fovy_blocks
+from jaxcam.reports.axes.pose_errors import pose_error_blocks
 from jaxcam.reports.camera_figures import rate_by_camera
 from jaxcam.reports.document import (
     Block,
@@ -95,6 +97,8 @@ def write_comparison(
         *_main(arms, out),
         *_seen(arms, group(seen)),
         *_studies(arms, out),
+        *pose_error_blocks(arms, out),
+        *fovy_blocks(arms, out),
         *_maps(arms, out),
     ]
     blocks += [*_recorded(runs), Heading("Runs"), runs_table(runs, _videos(runs, out))]
@@ -178,7 +182,8 @@ def _studies(arms: Sequence[Arm], out: Path) -> list[Block]:
         named = arm_names(study, of_study)
         figure = curves(shown, "cameras") if study.field == "n" else bars(shown, named)
         path = save(figure, out / "figures" / f"{study.file}.png")
-        caption = f"{study.title}. The paper's finding: {paper.SAYS[study.field]}"
+        finding = paper.SAYS.get(study.field)
+        caption = f"{study.title}. The paper's finding: {finding}" if finding else study.title
         blocks += [Heading(study.title), Picture(_relative(path, out), caption),
                    cells(of_study, study.field, named)]  # fmt: skip
     return blocks

@@ -6,6 +6,9 @@ Its figures give no numbers, so only Table I can stand beside ours.
 from collections.abc import Mapping
 from typing import Any
 
+from jaxcam.results.rows import CONDITIONS
+from jaxcam.runs.identity import OF_CAMERAS
+
 TASKS = {
     "lift": "Lift",
     "pick_place_can": "Pick Place Can",
@@ -44,6 +47,10 @@ SAYS = {
 """What the paper finds where one setting varies, in our words (section V-A)."""
 
 
+_BEYOND = dict.fromkeys(CONDITIONS) | OF_CAMERAS
+"""Settings that the paper does not vary, each with what it has."""
+
+
 def task_title(name: str) -> str:
     """The paper's name of a task, or our own."""
     return TASKS.get(name) or name
@@ -80,6 +87,8 @@ def is_table_setting(settings: Mapping[str, Any]) -> bool:
     """
     wanted = {"scene": "randomized", "action_space": "eef_delta"}
     crop, m = settings.get("crop_min"), settings.get("m")
+    if any(settings.get(name, usual) != usual for name, usual in _BEYOND.items()):
+        return False
     return (
         all(settings.get(name) in (None, value) for name, value in wanted.items())
         and (crop is None or crop < 1)

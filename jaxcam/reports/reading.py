@@ -14,7 +14,7 @@ from jaxcam.reports.packs.folder import read_results, run_key
 from jaxcam.reports.packs.pack import Pack, is_pack, read_pack
 from jaxcam.reports.packs.records import NAMED
 from jaxcam.results.protocol import NOT_RECORDED, is_foreign
-from jaxcam.results.rows import SEEN, USUAL_WAY, Row
+from jaxcam.results.rows import CONDITIONS, SEEN, USUAL_WAY, Row
 from jaxcam.results.stats import latest_rows
 from jaxcam.runs.foreign import has_foreign, read_foreign_record
 from jaxcam.runs.identity import Settings, identity, read_config
@@ -116,9 +116,9 @@ def _read(folder: Path, split: str) -> list[Run]:
         runs = _runs_of(read_pack(folder))
         return [replace(run, rows=[r for r in run.rows if r.split == split]) for run in runs]
     if (folder / "config.json").is_file():
-        return [_read_run(folder, split)]
+        return _read_run(folder, split)
     if has_foreign(folder):
-        return [_read_foreign(folder, split)]
+        return _read_foreign(folder, split)
     if (folder / "runs.json").is_file():
         return read_results(folder, split)
     return _read_rows(folder, split)
@@ -130,23 +130,44 @@ def _runs_of(pack: Pack) -> list[Run]:
     return [replace(run, source=source) for run in pack.runs]
 
 
-def _read_run(folder: Path, split: str) -> Run:
+def _read_run(folder: Path, split: str) -> list[Run]:
+    """A run under each of the conditions that it was evaluated under."""
     config = read_config(folder)
-    rows = [row for row in latest_rows(read_run_rows(folder)) if row.split == split]
-    settings = identity(config) | _ways(rows)
+    settings = identity(config)
     if config.weights:
         settings["weights"] = _kind_of_weights(folder, config.weights)
     if config.dataset:
         settings["dataset"] = _content_of_data(folder, config.dataset)
     seconds = training_seconds(read_metrics(folder))
-    return Run(folder.name, folder, settings, config.seed, rows, seconds, str(folder))
+    run = Run(folder.name, folder, settings, config.seed, [], seconds, str(folder))
+    return _under_each(run, latest_rows(read_run_rows(folder)), split)
 
 
-def _read_foreign(folder: Path, split: str) -> Run:
+def _read_foreign(folder: Path, split: str) -> list[Run]:
     """Somebody else's policy: one run, of which no seed is known."""
-    rows = [row for row in latest_rows(read_run_rows(folder)) if row.split == split]
-    settings = read_foreign_record(folder).settings | _ways(rows)
-    return Run(folder.name, folder, settings, None, rows, source=str(folder))
+    settings = read_foreign_record(folder).settings
+    run = Run(folder.name, folder, settings, None, [], source=str(folder))
+    return _under_each(run, latest_rows(read_run_rows(folder)), split)
+
+
+def _under_each(run: Run, rows: Sequence[Row], split: str) -> list[Run]:
+    """A run with the rows of each of its conditions; one without rows if there are none."""
+    groups: dict[tuple[str | None, ...], list[Row]] = {}
+    for row in rows:
+        if row.split == split:
+            groups.setdefault(row.conditions, []).append(row)
+    if not groups:
+        return [replace(run, settings=run.settings | _ways([]))]
+    return [
+        replace(run, settings=run.settings | _ways(some) | _varied(conditions), rows=some)
+        for conditions, some in groups.items()
+    ]
+
+
+def _varied(conditions: Sequence[str | None]) -> Settings:
+    """The conditions that are not as usual."""
+    said = zip(CONDITIONS, conditions, strict=True)
+    return {name: value for name, value in said if value is not None}
 
 
 def _read_rows(folder: Path, split: str) -> list[Run]:
@@ -160,9 +181,8 @@ def _read_rows(folder: Path, split: str) -> list[Run]:
     for (*shared, seed, name), given in of_runs.items():
         rows = [row for row in latest_rows(of_one_run(given)) if row.split == split]
         settings = {k: v or NOT_RECORDED for k, v in zip(NAMED, shared, strict=True)}
-        if rows:
-            settings |= _ways(rows)
-            runs.append(Run(name or folder.name, None, settings, seed, rows, source=str(folder)))
+        run = Run(name or folder.name, None, settings, seed, [], source=str(folder))
+        runs += _under_each(run, rows, split) if rows else []
     return runs
 
 

@@ -24,7 +24,7 @@ from jaxcam.runs.action_errors import read_errors
 from jaxcam.runs.foreign import has_foreign, read_foreign_record
 from jaxcam.runs.identity import RECORDED, differences, plain, read_config, resolve
 from jaxcam.runs.metrics import MetricsRow, read_metrics
-from jaxcam.runs.rollouts import read_run_rows
+from jaxcam.runs.rollouts import as_usual, read_run_rows
 
 _PLOTS = {
     "success_map": "Each held-out camera by direction; the side panels bin one angle at a time.",
@@ -61,7 +61,9 @@ def write_report(run_dir: str | Path) -> Path:
     if not ((run / "config.json").is_file() or has_foreign(run)):
         raise ConfigError(f"{run} is not the folder of a run: it has no config.json.")
     # Rows of validation pairs serve to choose settings; they are no result.
-    every = latest_rows(read_run_rows(run))
+    own = read_foreign_record(run) if has_foreign(run) else read_config(run)
+    # Rows of other conditions are for reports, which set them side by side.
+    every = as_usual(latest_rows(read_run_rows(run)), own)
     rows = [row for row in every if row.split == "test"]
     newest = max((row.step for row in rows), default=0)
     shown = [row for row in rows if row.step == newest]

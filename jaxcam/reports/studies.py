@@ -9,6 +9,7 @@ from jaxcam.config.names import Conditioning, names_of
 from jaxcam.reports import paper
 from jaxcam.reports.arms import Arm, context
 from jaxcam.reports.tables import by_task
+from jaxcam.runs.identity import OF_CAMERAS
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,14 @@ STUDIES = (
     Study("weights", "Pretrained image encoders", "pretraining", {"": "none"}),
     Study("n", "Number of cameras, all seen by every demonstration (m = 0)", "cameras", {},
           lambda arm: arm.settings.get("m") == 0),
+    Study("ray_frame", "Frame of the rays", "ray_frames",
+          {"base": "base", "world": "world", "grip": "grip", "about_grip": "about the grip",
+           "about_table": "about the table"}),
+    Study("pose_noise", "Errors of the poses in training", "pose_noise_in_training", {"": "none"}),
+    Study("pose_noise_per", "What errors in training are drawn for", "pose_noise_per",
+          {"sample": "samples", "episode": "episodes", "camera": "cameras"}),
+    Study("rays_from", "Intrinsics that are told", "rays_from",
+          {"true": "the cameras'", "nominal": "the usual"}),
 )  # fmt: skip
 
 
@@ -69,7 +78,11 @@ def panels(study: Study, arms: Sequence[Arm]) -> list[Panel]:
         study: The figure.
         arms: All there are.
     """
-    known = [a for a in arms if a.estimate.n and study.belongs(a) and study.field in a.settings]
+    known = [
+        a for a in arms
+        if a.estimate.n and not a.is_told_wrong and study.belongs(a)
+        and (study.field in a.settings or (study.field in OF_CAMERAS and "preset" in a.settings))
+    ]  # fmt: skip
     shown = []
     for some in by_task(known).values():
         groups: dict[str, list[Arm]] = {}
@@ -96,7 +109,7 @@ def value_of(study: Study, arm: Arm) -> Any:
     """Where an arm stands in a figure: a twin beside what it is the twin of."""
     if study.field == "conditioning":
         return arm.network or arm.settings["conditioning"]
-    return arm.settings[study.field]
+    return arm.setting(study.field)
 
 
 def arm_names(study: Study, arms: Sequence[Arm]) -> dict[Any, str]:
@@ -119,7 +132,7 @@ def _compared(study: Study, arms: Sequence[Arm]) -> list[Arm]:
         return list(arms) if len(told) > 1 else []
     values: dict[str, set[Any]] = {}
     for arm in arms:
-        values.setdefault(arm.way, set()).add(arm.settings[study.field])
+        values.setdefault(arm.way, set()).add(arm.setting(study.field))
     return [arm for arm in arms if len(values[arm.way]) > 1]
 
 

@@ -36,7 +36,8 @@ from jaxcam.reports.tables import paper_value
 from jaxcam.results.stats import p_text
 
 COLOURS = {"none": "#7A828C", "token": "#CC79A7", "early": "#E69F00", "late": "#0072B2",
-           "keypoints": "#009E73"}  # fmt: skip
+           "keypoints": "#009E73", "warp": "#8C6D31", "prope": "#6A3D9A", "gta": "#56B4E9",
+           "ray_rope": "#A50F15"}  # fmt: skip
 _NAMES = {"none": "image only"}
 _OTHER = "#D55E00"
 """Of a conditioning that is not ours, in rows that somebody else wrote."""
@@ -62,7 +63,7 @@ def bars(shown: Sequence[Panel], names: Mapping[Any, str]) -> Figure:
     """
     widest = max(sum(len(arms) for arms in panel.arms.values()) for panel in shown)
     width = max(1.1 + 0.42 * widest, 4.0 / len(shown))  # 4 inches hold the legend
-    figure, grid = _grid(len(shown), (width, 3.4))
+    figure, grid = panel_grid(len(shown), (width, 3.4))
     for axes, panel in zip(grid, shown, strict=True):
         place = 0.0
         ticks = []
@@ -91,7 +92,7 @@ def curves(shown: Sequence[Panel], label: str) -> Figure:
         shown: One panel a task.
         label: What the number is.
     """
-    figure, grid = _grid(len(shown), (4.4, 3.5))
+    figure, grid = panel_grid(len(shown), (4.4, 3.5))
     for axes, panel in zip(grid, shown, strict=True):
         for way in dict.fromkeys(way for arms in panel.arms.values() for way in arms):
             _curve(axes, {x: arms[way] for x, arms in panel.arms.items() if way in arms})
@@ -143,7 +144,7 @@ def maps(arms: Sequence[Arm]) -> Figure:
     Args:
         arms: Of one task, with rows that have angles.
     """
-    figure, grid = _grid(len(arms), (3.9, 2.9))
+    figure, grid = panel_grid(len(arms), (3.9, 2.9))
     across, up = angle_ticks(np.concatenate([rate_by_camera(arm.rows) for arm in arms]))
     for axes, arm in zip(grid, arms, strict=True):
         draw_cameras(axes, rate_by_camera(arm.rows), across, up, scale=0.5)
@@ -160,8 +161,8 @@ def maps(arms: Sequence[Arm]) -> Figure:
     return figure
 
 
-def _grid(count: int, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:
-    """Panels of so many inches in rows of three."""
+def panel_grid(count: int, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:
+    """Panels of so many inches, in rows of three."""
     columns = min(count, _COLUMNS)
     rows = math.ceil(count / columns)
     figure = Figure(figsize=(columns * size[0], rows * size[1]), layout="constrained")

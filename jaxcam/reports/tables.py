@@ -21,15 +21,15 @@ from jaxcam.runs.identity import plain
 
 NONE = "–"
 _NOTHING = (math.nan, math.nan)
-# Settings that a task brings with it, so that they differ between the columns of Table I.
-_OF_TASK = ("n", "m", "views", "steps")
+_OF_TASK = ("n", "m", "views", "steps")  # which tasks bring, so that Table I's columns differ
 
 
 def twins_of(arms: Sequence[Arm]) -> list[tuple[Arm, ImageOnly]]:
     """Every conditioned arm that has rollouts, with the image-only arm that it is compared with."""
     image_only = ImageOnlyArms(arms)
-    pairs = ((arm, image_only.of(arm)) for some in by_task(arms).values() for arm in some)
-    return [(a, b) for a, b in pairs if b and a.estimate.n and b.arm.estimate.n]
+    clean = by_task(arm for arm in arms if arm.estimate.n and not arm.is_told_wrong)
+    pairs = ((arm, image_only.of(arm)) for some in clean.values() for arm in some)
+    return [(a, b) for a, b in pairs if b and b.arm.estimate.n]
 
 
 def without_twins(arms: Sequence[Arm]) -> list[str]:
@@ -194,14 +194,14 @@ def cells(arms: Sequence[Arm], field: str, order: Mapping[Any, str]) -> Table:
     """
     base = ImageOnlyArms(arms)
     first = next(iter(order))
-    firsts = {context(a, field): a for a in arms if a.settings[field] == first}
+    firsts = {context(a, field): a for a in arms if a.setting(field) == first}
     rows = []
     for arm in arms:
         s, e = arm.settings, arm.estimate
         if field == "conditioning":
             name, ways, others = arm.way, [], []
         else:
-            name, ways = order[s[field]], [arm.way]
+            name, ways = order[arm.setting(field)], [arm.way]
             others = [_against(arm, firsts.get(context(arm, field)))]
         rows.append([
             _task(arm) if field != "scene" else paper.task_title(s["task"]),
@@ -289,7 +289,7 @@ def is_of_table(arm: Arm) -> bool:
     Somebody else's policy belongs there however it acts: the table has no other place for it.
     """
     if is_foreign_arm(arm):
-        return arm.settings["scene"] == "randomized"
+        return arm.settings["scene"] == "randomized" and not arm.is_told_wrong
     network = arm.network  # of an image-only arm, whose twin it is
     known = (
         network == paper.CONDITIONING.get(arm.settings["policy"]) or network not in paper.ENCODINGS

@@ -15,7 +15,14 @@ import numpy as np
 import scipy.stats
 
 from jaxcam.results.rows import Row
-from jaxcam.results.stats import LEVEL, PairOutcomes, by_pair, by_seed, p_text, with_seeds
+from jaxcam.results.stats import (
+    LEVEL,
+    PairOutcomes,
+    by_pair,
+    by_seed,
+    p_text,
+    with_seeds,
+)
 
 _MANY = 50
 """Pairs from which on the differences that were seen stand for those that were not. With fewer,

@@ -49,6 +49,15 @@ class Row:
         width: Rollouts simulated at once; it may change a result's last digits.
         episode_seed: Of the initial state.
         cause: Why the policy gave no actions, in words, where that is known.
+        eval_pose_noise: Error of the poses that the policy was told, such as "1,0.5" (degrees, cm);
+            this and what follows is None where it was as usual, see
+            `jaxcam.config.conditions.Conditions`.
+        eval_pose_drift: How fast that error grew, by the second.
+        eval_fovy: Range that the fields of view were drawn from (degrees).
+        eval_aspect: Range of aspects.
+        eval_centre: Range of principal points' distances from the middle.
+        eval_lens: Range of lenses.
+        fovy_deg: Vertical field of view of the first camera, where there was a range.
     """
 
     task: str | None = None
@@ -75,6 +84,23 @@ class Row:
     width: int | None = None
     episode_seed: int | None = None
     cause: str | None = None
+    eval_pose_noise: str | None = None
+    eval_pose_drift: str | None = None
+    eval_fovy: str | None = None
+    eval_aspect: str | None = None
+    eval_centre: str | None = None
+    eval_lens: str | None = None
+    fovy_deg: float | None = None
+
+    @property
+    def way(self) -> tuple[Any, ...]:
+        """How the rollout was computed: rows of several ways are not mixed, and the last counts."""
+        return self.width, self.engine, self.ensemble
+
+    @property
+    def conditions(self) -> tuple[str | None, ...]:
+        """Under which conditions, in the order of `CONDITIONS`: all of them are kept, apart."""
+        return tuple(getattr(self, name) for name in CONDITIONS)
 
     @property
     def finished(self) -> bool:
@@ -127,7 +153,7 @@ class Row:
         return {name: value for name, value in values if value is not None}
 
 
-_MOST = {"azimuth_deg": 360.0, "elevation_deg": 90.01}
+_MOST = {"azimuth_deg": 360.0, "elevation_deg": 90.01, "fovy_deg": 180.0}
 """Limits of angles; figures have an axis for all of them."""
 
 
@@ -161,5 +187,7 @@ def _kind(annotation: Any) -> tuple[str, Callable[[Any], bool]]:
 
 _FIELDS = {field.name: (*_kind(field.type), field.default is MISSING) for field in fields(Row)}
 """Each field's kind and whether a row must have it, in the order in which they are written."""
+CONDITIONS = tuple(name for name in _FIELDS if name.startswith("eval_"))
+"""The fields that say what was varied in the evaluation itself; None is as usual."""
 USUAL_WAY: dict[str, Any] = {"engine": Row.engine, "ensemble": Row.ensemble}
 """The fields that say how a policy was run, and how it is where nothing else is asked for."""

@@ -191,22 +191,22 @@ def latest_rows(rows: Iterable[Row]) -> list[Row]:
     """Keep the last row of each rollout, so that a re-run replaces the attempt that failed.
 
     Rows of different engines, batch widths or ensembling are never mixed: of an evaluation that was
-    run in several ways, the one run last counts.
+    run in several ways, the one run last counts. Those of other conditions are other evaluations.
 
     Args:
         rows: Evaluation rows in the order they were written.
 
     Returns:
-        One row for each (task, scene, run, policy, conditioning, seed, step, split, pair).
+        One row for each (task, scene, run, policy, conditioning, seed, step, split, conditions,
+        pair).
     """
     evaluation_of = attrgetter(
-        "task", "scene", "run", "policy", "conditioning", "seed", "step", "split"
+        "task", "scene", "run", "policy", "conditioning", "seed", "step", "split", "conditions"
     )
-    way_of = attrgetter("width", "engine", "ensemble")
     last_way: dict[Hashable, Hashable] = {}
     latest: dict[Hashable, dict[Hashable, dict[int, Row]]] = {}
     for row in rows:
-        evaluation, way = evaluation_of(row), way_of(row)
+        evaluation, way = evaluation_of(row), row.way
         last_way[evaluation] = way
         latest.setdefault(evaluation, {}).setdefault(way, {})[row.pair] = row
     return [row for it, way in last_way.items() for row in latest[it][way].values()]

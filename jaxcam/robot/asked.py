@@ -19,6 +19,7 @@ import jax
 import numpy as np
 
 from jaxcam.config.train import TrainConfig
+from jaxcam.errors import ConfigError
 from jaxcam.evaluation.evaluator import Candidate
 from jaxcam.models import PolicySpec
 from jaxcam.robot.requests import Shown
@@ -149,8 +150,18 @@ def load_run(folder: Path, step: int | None = None) -> tuple[TrainConfig, Candid
 
     Raises:
         CheckpointError: There is none, or it is damaged.
-        ConfigError: The folder's settings are not those of its checkpoints.
+        ConfigError: The folder's settings are not those of its checkpoints, or its policy wants to
+            be told what requests do not say.
     """
     inputs = load_policy_inputs(folder, step)
+    config = inputs.config
+    unusual = [f"{k} {getattr(config, k)}" for k in ("ray_frame", "rays_from")
+               if config.given(k)]  # fmt: skip
+    if unusual and config.conditioning != "none":
+        raise ConfigError(
+            f"{folder} was trained with {' and '.join(unusual)}. Requests tell of cameras in the "
+            "base, with their own intrinsics, and neither where that frame is nor what is usual: "
+            "serve a policy of --ray-frame base and --rays-from true."
+        )
     policy = rebuild_policy(inputs)
     return inputs.config, Candidate(policy, inputs.params, folder, inputs.step)

@@ -20,7 +20,8 @@ class FixedCamera:
     optics: Optics | None = None
     """How it sees, if it says so."""
     base_from_camera: np.ndarray | None = None
-    """Where it stands, OpenCV axes, float64 [4, 4], if it says so."""
+    """Where it stands, OpenCV axes, float64 [4, 4], if it says so; of one on the hand, it does not:
+    requests do."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ def read_rig(path: Path, views: tuple[str, ...]) -> Rig:
         if view not in views:
             continue
         pose = None
-        if entry.pose is not None:
+        if entry.pose is not None and entry.pose.carried is None:
             pose = None if isinstance(entry.pose.place, PoseFile) else entry.pose.of(())
             if pose is None or pose.ndim != 2:
                 raise ConfigError(

@@ -86,7 +86,7 @@ class Service:
     @property
     def needs_cameras(self) -> bool:
         """Whether the policy is told where its cameras are."""
-        return self.config.conditioning != "none"
+        return self.config.conditioning != "none" or self.config.action_frame == "camera"
 
     def session(self, row: int) -> Session:
         """What is known of a client that comes.

@@ -14,7 +14,7 @@ from typing import Any, cast
 import numpy as np
 
 from jaxcam.config.fields import check_types, from_json, short, to_json
-from jaxcam.config.names import ActionSpace, Rotations, SceneName, TaskName
+from jaxcam.config.names import ActionSpace, RayFrame, RaysFrom, Rotations, SceneName, TaskName
 from jaxcam.errors import ConfigError
 from jaxcam.files.paths import read_text
 from jaxcam.files.whole import write_atomically
@@ -85,6 +85,16 @@ class ForeignRecord:
     def ensemble(self) -> float:
         """Whether it averages is its own affair."""
         return 0.0
+
+    @property
+    def rays_from(self) -> RaysFrom:
+        """It is told its cameras' own intrinsics."""
+        return "true"
+
+    @property
+    def ray_frame(self) -> RayFrame:
+        """It is told poses in the robot's base frame."""
+        return "base"
 
     @property
     def settings(self) -> Settings:

@@ -9,6 +9,8 @@ A file has these entries:
       {preset: laptop, seed: [0, 1, 2]}
     runs:                        # each entry is every combination of its values and the shared ones
       - {task: lift, conditioning: [late, keypoints], twins: true}
+    evaluations:                 # more of them, by flags of `python -m jaxcam.evaluate` that say
+      - {pose_noise: ["1,1", "2,2"]}                     # conditions: each is every combination
     slurm: {timeout_min: 480}    # for submitit, where runs are sent to a cluster
 
 With `twins`, each run that is told its cameras brings its own image-only twin: the same network,
@@ -26,6 +28,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
+from jaxcam.config.conditions import Conditions, several
 from jaxcam.config.fields import as_record, short
 from jaxcam.config.names import ProtocolName
 from jaxcam.config.train import TrainConfig
@@ -62,10 +65,12 @@ class _File:
     title: str | None = None
     protocol: Any = None
     settings: dict[str, Any] | None = None
+    evaluations: list[Any] | None = None
     slurm: dict[str, Any] | None = None
 
 
-_ENTRIES = ("title", "runs_dir", "protocol", "settings", "runs", "slurm")
+_ENTRIES = tuple(f.name for f in dataclasses.fields(_File))
+_CONDITIONS = tuple(f.name for f in dataclasses.fields(Conditions))
 _FIELDS = {f.name: f for f in dataclasses.fields(TrainConfig)}
 _OURS = ("run_dir",)
 _NAMES = (*_FIELDS, "twins")
@@ -80,12 +85,23 @@ class Planned:
         given: Its settings as the file gives them; the others are the preset's.
         config: All its settings.
         protocol: Its evaluation, "one" or "paper".
+        evaluations: Further ones under other conditions: values by name, each of which is every
+            combination of them.
     """
 
     folder: Path
     given: Mapping[str, Any]
     config: TrainConfig
     protocol: ProtocolName
+    evaluations: tuple[Mapping[str, tuple[str, ...]], ...] = ()
+
+    @property
+    def conditions(self) -> list[Conditions]:
+        """All that it is evaluated under, each once: its own, and those of further evaluations."""
+        fovy = make_task(self.config.task).fovy_deg
+        usual = self.config.conditions
+        everything = [usual, *(c for asked in self.evaluations for c in several(usual, asked))]
+        return list(dict.fromkeys(c.of_task(fovy) for c in everything))
 
     @property
     def name(self) -> str:
@@ -112,11 +128,24 @@ class Planned:
         words = [*PYTHON, "jaxcam.train"]
         for name, value in self.given.items():
             values = value if isinstance(value, list | tuple) else (value,)
-            words += ["--" + name.replace("_", "-"), *map(str, values)] if values else []
+            words += [_flag(name), *map(str, values)] if values else []
         train = [*words, "--run-dir", str(self.folder)]
+        evaluate = [*PYTHON, "jaxcam.evaluate", str(self.folder)]
         if self.protocol == "one":
-            return [train]
-        return [train, [*PYTHON, "jaxcam.evaluate", str(self.folder), "--protocol", "paper"]]
+            steps, pairs = str(self.config.steps), str(self.pairs)
+            evaluate += ["--step", steps, "--pairs", pairs]
+            first = []
+        else:
+            evaluate += ["--protocol", "paper"]
+            first = [[*evaluate]]
+        more = [
+            [
+                *evaluate,
+                *(word for name, values in asked.items() for word in (_flag(name), *values)),
+            ]
+            for asked in self.evaluations
+        ]
+        return [train, *first, *more]
 
 
 @dataclass(frozen=True)
@@ -178,6 +207,10 @@ def read_grid(path: str | Path) -> Grid:
     if protocol not in (known := get_args(ProtocolName)):
         raise ConfigError(f"{where}: unknown protocol '{protocol}'{closest(str(protocol), known)}")
     shared = _mapping(f"{where}, settings", file.settings or {}, _NAMES)
+    evaluations = tuple(
+        _evaluation(f"{where}, evaluation {i}", asked)
+        for i, asked in enumerate(file.evaluations or (), start=1)
+    )
     runs: dict[Path, Planned] = {}
     for i, block in enumerate(file.runs, start=1):
         place = f"{where}, run {i}"
@@ -187,6 +220,7 @@ def read_grid(path: str | Path) -> Grid:
             raise ConfigError(f"{place}: 'twins' must be true or false, got {short(twins)}.")
         for given in _combinations(place, values, twins=twins):
             planned = _plan(place, home(file.runs_dir), given, protocol)
+            planned = dataclasses.replace(planned, evaluations=evaluations)
             known = runs.setdefault(planned.folder, planned)
             if changed := differences(known.config, planned.config):
                 raise ConfigError(
@@ -212,17 +246,40 @@ def progress_of(run: Planned) -> Standing:
         for row in read_run_rows(run.folder)
         if row.split == "test" and row.step in run.steps and row.pair < run.pairs
     ]
-    asked = len(run.steps) * run.pairs
-    to_run = sum(_to_run([r for r in rows if r.step == s], run.pairs) for s in run.steps)
-    return Standing(step, asked - to_run, asked, success_rate(latest_rows(rows)))
+    said = [tuple(conditions.said.values()) for conditions in run.conditions]
+    evaluations = [(s, c) for s in run.steps for c in said]
+    asked = len(evaluations) * run.pairs
+    to_run = sum(
+        _to_run([r for r in rows if (r.step, r.conditions) == one], run.pairs)
+        for one in evaluations
+    )
+    own = [row for row in latest_rows(rows) if row.conditions == said[0]]
+    return Standing(step, asked - to_run, asked, success_rate(own))
 
 
 def _to_run(rows: Sequence[Row], pairs: int) -> int:
     """Pairs that a checkpoint's evaluation lacks: rows of several ways do not make up for them."""
     ways: dict[Any, list[Row]] = {}
     for row in rows:
-        ways.setdefault((row.width, row.engine, row.ensemble), []).append(row)
+        ways.setdefault(row.way, []).append(row)
     return min((len(missing(some, pairs)) for some in ways.values()), default=pairs)
+
+
+def _flag(name: str) -> str:
+    return "--" + name.replace("_", "-")
+
+
+def _evaluation(where: str, asked: Any) -> dict[str, tuple[str, ...]]:
+    """Values of conditions by name; each may be one or a list."""
+    values = {
+        name: tuple(str(v) for v in (value if isinstance(value, list) else [value]))
+        for name, value in _mapping(where, asked, _CONDITIONS).items()
+    }
+    try:
+        several(Conditions(), values)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from error
+    return values
 
 
 def _plan(where: str, runs_dir: Path, given: dict[str, Any], protocol: ProtocolName) -> Planned:

@@ -16,12 +16,13 @@ from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from jaxcam.config.conditions import OPTICS
 from jaxcam.config.fields import fill, from_json
 from jaxcam.config.presets import PRESETS, Preset
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
 from jaxcam.files.paths import read_text
-from jaxcam.results.rows import USUAL_WAY
+from jaxcam.results.rows import CONDITIONS, USUAL_WAY
 from jaxcam.runs.manifests import sides
 from jaxcam.sim import make_task
 
@@ -32,6 +33,7 @@ Settings = dict[str, Any]
 FREE_TO_CHANGE = frozenset({
     "pairs", "engine", "ensemble", "data_dir", "dataset", "cameras", "action_is", "run_dir",
     "log_every", "eval_every", "save_every", "keep", "videos", "seeds", "log", "distributed",
+    "eval_fovy",
 })  # fmt: skip
 # Of the settings that leave training as it was, these say what was trained on and how the
 # policy was run; seeds and how updates are computed differ between runs compared as one.
@@ -39,6 +41,12 @@ _OWN = {"seed", "steps_per_call", "accumulate"}
 _OF_RECORDED = ("cameras", "grip", "hold_out_view", "hold_out_episodes")
 """What only runs that learn from a recorded dataset have."""
 _NO_IDENTITY = (FREE_TO_CHANGE | _OWN) - {"dataset", "cameras", "engine", "ensemble"}
+OF_CAMERAS: Settings = {
+    name: getattr(TrainConfig, name)
+    for name in ("pose_noise", "pose_noise_per", "ray_frame", "rays_from", *OPTICS)
+}
+"""Settings of what a policy is told of cameras, and of their intrinsics, which only runs have in
+which one of them is not the usual one that stands here."""
 RECORDED = "recorded"
 """The task of a run that learns from a recorded dataset."""
 USUAL_SPACE = "eef_delta"
@@ -165,12 +173,15 @@ def default_folder(config: TrainConfig) -> str:
         parts.append(f"as_{twin_of}")
     if config.action_space != usual["action_space"]:
         parts.append(config.action_space)
+    if config.action_frame != TrainConfig.action_frame:
+        parts.append(f"{config.action_frame}_frame")
     if (config.n, config.m) != (usual["n"], usual["m"]) and config.task != RECORDED:
         parts.append(f"n{config.n}m{config.m}")
     if config.views != usual["views"]:
         parts.append(f"{config.views}views")
+    parts += [f"{k}{v}" for k, usual in OF_CAMERAS.items() if (v := getattr(config, k)) != usual]
     parts += [Path(file).stem for file in (config.weights, config.dataset) if file]
-    return "runs/" + "-".join([*parts, str(config.seed)])
+    return "runs/" + re.sub("[:,]", "_", "-".join([*parts, str(config.seed)]))
 
 
 def full_name(config: TrainConfig, *, files: bool = True) -> str:
@@ -209,9 +220,12 @@ def identity(config: TrainConfig) -> Settings:
         config: Resolved settings of a run.
     """
     values = {k: v for k, v in asdict(config).items() if k not in _NO_IDENTITY}
+    values = {k: v for k, v in values.items() if k not in OF_CAMERAS or v != OF_CAMERAS[k]}
     values["model"] = list(config.model)
     if config.action_space != "eef_abs":
         del values["rotations"]  # they are none of its actions'
+    if config.action_frame == TrainConfig.action_frame:
+        del values["action_frame"]  # results from before there was another lack it
     if config.task == RECORDED:
         values |= {
             name: list(getattr(config, name)) for name in ("hold_out_view", "hold_out_episodes")
@@ -244,7 +258,8 @@ def changes(settings: Settings) -> Settings:
 def _usual(*named: str, steps: int | None = None) -> Settings:
     config = TrainConfig(**dict(zip(_NAMED, named, strict=True)), steps=steps)  # pyright: ignore
     usual = identity(resolve(config, accelerator=False)) | USUAL_WAY
-    return usual | {"rotations": TrainConfig.rotations}
+    fields = {k: getattr(TrainConfig, k) for k in ("rotations", "action_frame")}
+    return usual | fields | dict.fromkeys(CONDITIONS) | OF_CAMERAS
 
 
 def network_of(settings: Mapping[str, Any]) -> str | None:

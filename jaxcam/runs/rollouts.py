@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
+from jaxcam.config.conditions import Conditions
 from jaxcam.config.names import EvaluationSplit, names_of
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import DatasetError
@@ -14,7 +15,8 @@ from jaxcam.files.jsonl import read_jsonl
 from jaxcam.files.paths import absolute, read_text
 from jaxcam.results.rows import Row
 from jaxcam.runs.foreign import ForeignRecord, has_foreign, read_foreign_record
-from jaxcam.runs.identity import read_config
+from jaxcam.runs.identity import RECORDED, read_config
+from jaxcam.sim import make_task
 
 _OF_RUN = ("task", "scene", "policy", "conditioning", "seed")
 """What rows share with their run's settings."""
@@ -68,6 +70,20 @@ def read_run_rows(run: Path) -> list[Row]:
     return [replace(row, run=run.name) for row in rows]
 
 
+def as_usual(rows: Iterable[Row], config: TrainConfig | ForeignRecord) -> list[Row]:
+    """The rows of the conditions that are a run's own: no errors of poses, cameras as in training.
+
+    Args:
+        rows: Of the run.
+        config: Its settings, or what is known of a foreign policy, which is shown usual cameras.
+    """
+    own = Conditions()
+    if isinstance(config, TrainConfig) and config.task != RECORDED:
+        own = config.conditions.of_task(make_task(config.task).fovy_deg)
+    said = tuple(own.said.values())
+    return [row for row in rows if row.conditions == said]
+
+
 class OneRun:
     """What rows of one run share: the weights of a step, the pair of a number, and one outcome.
 
@@ -98,7 +114,7 @@ class OneRun:
         wrong += _pair(row, self._pairs.setdefault(row.split, {}))
         if row.finished:
             outcome = (row.success, row.steps)
-            way = (row.step, row.split, row.width, row.engine, row.ensemble, row.pair)
+            way = (row.step, row.split, *row.way, *row.conditions, row.pair)
             if self._outcomes.setdefault(way, outcome) != outcome:
                 wrong.append("a second outcome of a rollout that had one")
         return wrong

@@ -3,11 +3,13 @@
 import pkgutil
 from collections.abc import Sequence
 from importlib import import_module
+from typing import Any
 
 from jaxcam.config.names import EngineName
 from jaxcam.errors import ConfigError, closest
 from jaxcam.sim import tasks
 from jaxcam.sim.engine import Engine
+from jaxcam.sim.lenses import SCALE, LensPainter
 from jaxcam.sim.painter import Painter
 from jaxcam.sim.simulators import SIMULATORS, Simulator
 from jaxcam.sim.task import Task
@@ -99,6 +101,8 @@ def make_painter(
     *,
     varied: Sequence[str] = (),
     batch: int = 32,
+    engine: EngineName | None = None,
+    lenses: bool = False,
 ) -> Painter:
     """What draws a world.
 
@@ -109,11 +113,28 @@ def make_painter(
         varied: The task's varied geoms.
         batch: Views that it is to draw at once: more only take longer, but some painters draw as
             many when there are fewer. The pictures are the same.
+        engine: That steps the world, see `painter_of`.
+        lenses: Whether views may have lenses.
     """
-    painter = simulator_of(world).painter
-    return painter(world, height, width, varied=tuple(varied), batch=batch)
+    painter: Any = painter_of(world, engine)
+    width = width or height
+
+    def made(scale: int) -> Painter:
+        size = (scale * height, scale * width)
+        return painter(world, *size, varied=tuple(varied), batch=batch)
+
+    return LensPainter(made(1), made(SCALE)) if lenses else made(1)
 
 
-def painter_of(world: World) -> type[Painter]:
-    """The class of what draws a world: its `look`, and whether it `uses_all_cores`."""
-    return simulator_of(world).painter.load()
+def painter_of(world: World, engine: EngineName | None = None) -> type[Painter]:
+    """The class of what draws a world on this machine: its `look`, and whether it `uses_all_cores`.
+
+    Args:
+        world: The world.
+        engine: That steps it, if it is one that draws within its own program (MJX's).
+    """
+    simulator = simulator_of(world)
+    if (engine or "").startswith("mjx") or simulator.has_accelerator():
+        return simulator.painter.load()
+    painter: type[Painter] = simulator.cpu_painter.load()
+    return painter if painter.draws(world) else simulator.painter.load()

@@ -130,29 +130,42 @@ def torque(controller: ControllerName, arm: ArmState, *goal: Array) -> Array:
 
 
 def pose_torques(
-    sensed: Sensed, mass_at: Array, rows: Array, goal: tuple[Array, ...], out: Array
+    sensed: Sensed,
+    mass_at: Array,
+    rows: Array,
+    goal: tuple[Array, ...],
+    limits: Array,
+    out: Array,
 ) -> None:
-    """Torques of `osc_pose` for some worlds, into `out` [n, 7]; the native engine compiles it.
+    """Torques of `osc_pose`, clipped, for some of the worlds; the native engine compiles it.
 
     Args:
         sensed: Of all worlds.
         mass_at: Where each element of the inertia is in the sparse one [7, 7].
         rows: The worlds [n].
         goal: Of `osc_pose` for each of `rows`, see `goal`.
-        out: What is written.
+        limits: Least and greatest torques (N m) [2, 7].
+        out: What is written, a row for each of all worlds [B, 7].
     """
     position, rotation, rest = goal
     for k in range(len(rows)):
         arm = sense(sensed, mass_at, rows[k])
-        out[k] = osc_pose(arm, position[k], rotation[k], rest[k])
+        torque = osc_pose(arm, position[k], rotation[k], rest[k])
+        out[rows[k]] = np.minimum(np.maximum(torque, limits[0]), limits[1])
 
 
 def joint_torques(
-    sensed: Sensed, mass_at: Array, rows: Array, goal: tuple[Array, ...], out: Array
+    sensed: Sensed,
+    mass_at: Array,
+    rows: Array,
+    goal: tuple[Array, ...],
+    limits: Array,
+    out: Array,
 ) -> None:
     """Torques of `joint_position`; as `pose_torques`."""
     for k in range(len(rows)):
-        out[k] = joint_position(sense(sensed, mass_at, rows[k]), goal[0][k])
+        torque = joint_position(sense(sensed, mass_at, rows[k]), goal[0][k])
+        out[rows[k]] = np.minimum(np.maximum(torque, limits[0]), limits[1])
 
 
 def sense(sensed: Sensed, mass_at: Array, i: int) -> ArmState:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxcam.config.names import RayFrame
 from jaxcam.rays.rotations import Array, array_namespace
 from jaxcam.sim.actions import (
     action_dim,
@@ -23,7 +24,7 @@ from jaxcam.sim.actions import (
 )
 from jaxcam.sim.engine import Engine, Play, Progress
 from jaxcam.sim.ensemble import ensemble
-from jaxcam.sim.observing import Cameras, Instant, cameras_of, observe
+from jaxcam.sim.observing import Cameras, Instant, Told, cameras_of, observe
 from jaxcam.sim.painter import Painter
 from jaxcam.sim.task import Task
 from jaxcam.sim.types import Command, Start, State
@@ -53,6 +54,8 @@ class Agent:
     causes: Mapping[int, str] = field(default_factory=dict[int, str])
     """Why it gave no actions, by number of the episode in the batch, where it can say: filled while
     it is asked."""
+    ray_frame: RayFrame = "base"
+    """In which frame it is told its cameras."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,10 @@ class Episodes:
     """Poses of their cameras, OpenCV axes [B, V, 4, 4]."""
     alive: np.ndarray | None = field(default=None, repr=False)
     """[B] False for episodes that only fill the batch up; all are alive when None."""
+    lens: np.ndarray | None = field(default=None, repr=False)
+    """Packed coefficients of their cameras [B, V, 9]; None where all are pinholes."""
+    claimed: Told = field(default_factory=Told, repr=False)
+    """What the policy is told of them that is not so."""
 
 
 @dataclass(frozen=True)
@@ -104,8 +111,13 @@ def rollout(
         tick: Called after every control step.
     """
     world: World = engine.scene
-    turn = _turn(painter, agent.space, agent.execute, agent.obs_steps, agent.ensembling)
-    inputs = _Inputs(agent.act, cameras_of(world, episodes.K, episodes.world_from_camera))
+    turn = _turn(
+        painter, agent.space, agent.execute, agent.obs_steps, agent.ensembling, agent.ray_frame
+    )
+    cameras = cameras_of(
+        world, episodes.K, episodes.world_from_camera, episodes.lens, episodes.claimed
+    )
+    inputs = _Inputs(agent.act, cameras)
     progress, trace = engine.run(
         turn,
         inputs,
@@ -150,13 +162,15 @@ class _PolicyTurn:
         execute: int | None,
         obs_steps: int,
         ensembling: float,
+        ray_frame: RayFrame,
     ) -> None:
         self._world, self._painter = painter.scene, painter
         self._space, self._execute, self._past = space, execute, obs_steps - 1
         self._ensembling = ensembling
+        self._ray_frame: RayFrame = ray_frame
 
     def first(self, state: State) -> _Carried:
-        before = (Instant(state.qpos, state.grip_position),) * self._past
+        before = (Instant.of(state, np.zeros((), int)),) * self._past
         anchor = measured(self._space, state, self._world.arm)
         averaged_steps = (self._execute or 0) if self._ensembling else 0
         still = anchor[:, None].repeat(averaged_steps, 1)
@@ -172,8 +186,11 @@ class _PolicyTurn:
         inputs: _Inputs,
     ) -> tuple[Progress, _Carried, Array]:
         xp, active = array_namespace(carried.anchor), progress.active
-        observed = [*carried.before, Instant(progress.state.qpos, progress.state.grip_position)]
-        steps = [observe(self._painter, one, start, inputs.cameras, active) for one in observed]
+        observed = [*carried.before, Instant.of(progress.state, progress.taken)]
+        steps = [
+            observe(self._painter, one, start, inputs.cameras, active, self._ray_frame)
+            for one in observed
+        ]
         obs = {name: xp.stack([step[name] for step in steps], 1) for name in steps[0]}
         obs = obs if self._past else steps[0]
         chunk = self._chunk(xp.asarray(inputs.act(obs, call, active)), len(active))
@@ -195,7 +212,7 @@ class _PolicyTurn:
             way.append(part)
             begin = end
             if end < length:
-                observed.append(Instant(progress.state.qpos, progress.state.grip_position))
+                observed.append(Instant.of(progress.state, progress.taken))
         before = tuple(observed[len(observed) - self._past :])
         return progress, _Carried(targets[:, -1], before, mean), xp.concatenate(way)
 

@@ -46,7 +46,10 @@ class Simulator:
     has_accelerator: LazyPart
     """`() -> bool`: whether this machine has one that this simulator can use."""
     painter: LazyPart
-    """`(world, height, width, varied=..., batch=...) -> Painter`."""
+    """`(world, height, width, varied=..., batch=...) -> Painter`: draws with an accelerator, and
+    inside the programs of compiled engines."""
+    cpu_painter: LazyPart
+    """The same, and the fastest without an accelerator."""
     packages: tuple[str, ...]
     """Distributions whose versions shape what happens in its worlds."""
 
@@ -62,6 +65,7 @@ SIMULATORS: Mapping[SimulatorName, Simulator] = {
         accelerated="mjx-warp",
         has_accelerator=LazyPart("jaxcam.sim.mujoco.machine", "has_accelerator"),
         painter=LazyPart("jaxcam.sim.mujoco.render", "Renderer"),
+        cpu_painter=LazyPart("jaxcam.sim.mujoco.tracer.painter", "CpuRenderer"),
         packages=("mujoco", "robosuite"),
     ),
     "sapien": Simulator(
@@ -73,6 +77,7 @@ SIMULATORS: Mapping[SimulatorName, Simulator] = {
         accelerated="sapien-gpu",
         has_accelerator=LazyPart("jaxcam.sim.maniskill.machine", "has_accelerator"),
         painter=LazyPart("jaxcam.sim.maniskill.render", "SapienPainter"),
+        cpu_painter=LazyPart("jaxcam.sim.maniskill.render", "SapienPainter"),
         packages=("mani-skill", "sapien", "torch"),
     ),
 }

@@ -67,6 +67,9 @@ class View(NamedTuple):
     """Intrinsics in pixels of the picture [B, 3, 3]; no skew."""
     world_from_camera: Array
     """Camera poses [B, 4, 4], OpenCV axes."""
+    lens: Array | None = None
+    """Coefficients from `jaxcam.rays.lens.pack` [B, 9], which `jaxcam.sim.lenses` draws; None where
+    all are pinholes."""
 
 
 @dataclass

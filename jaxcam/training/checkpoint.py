@@ -26,7 +26,7 @@ from jaxcam.config.train import TrainConfig
 from jaxcam.console.words import some
 from jaxcam.errors import CheckpointError, ConfigError
 from jaxcam.files.paths import absolute
-from jaxcam.models import FAMILIES, Policy, PolicySpec
+from jaxcam.models import FAMILIES, Policy, PolicySpec, make_policy
 from jaxcam.runs.identity import read_config
 from jaxcam.runs.manifests import DamagedError, seal, steps_in
 from jaxcam.training.digests import (
@@ -277,7 +277,7 @@ def rebuild_policy(inputs: PolicyInputs) -> Policy:
         CheckpointError: Its settings, sizes or parameters are not those of such a policy.
         ConfigError: Its statistics are not.
     """
-    policy = FAMILIES[inputs.config.policy].make(*records_of(inputs), inputs.stats)
+    policy = make_policy(*records_of(inputs), inputs.stats)
     if wrong := _misfits(jax.eval_shape(policy.init, jax.random.key(0)), inputs.params):
         raise CheckpointError(f"Checkpoint {inputs.step} is of another policy: {some(wrong)}.")
     return policy

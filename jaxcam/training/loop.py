@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Sequence
+from dataclasses import replace
 
 import jax
 from rich.console import Console
@@ -40,7 +41,8 @@ class Trainer:
         stop: Interrupt,
         console: Console | None = None,
     ) -> None:
-        self.config, self.dataset, self.policy = config, dataset, policy
+        self.config, self.policy = config, policy
+        self.dataset = replace(dataset, named=config.pose_noise_per != "sample")
         self.stop, self.console = stop, console
         self._tx = make_optimizer(config, policy.trained)
         self._sizes = {

@@ -16,6 +16,7 @@ from jaxcam.data.batches import Dataset, stacked_batches
 from jaxcam.devices import copied, data_mesh, part, replicated, shard, spread, stacked
 from jaxcam.models import Batch, Policy
 from jaxcam.models.crops import random_crop
+from jaxcam.training.noise import pose_noise
 from jaxcam.training.records import Records
 from jaxcam.training.state import TrainState, Update, make_train_chunk
 from jaxcam.training.watch import GradientWatch
@@ -60,6 +61,7 @@ class SideBySide:
             policy.loss,
             tx,
             augment=functools.partial(random_crop, smallest=config.crop_min),
+            perturb=pose_noise(config.pose_noise, config.pose_noise_per),
             ema=config.ema,
             ema_power=config.ema_power,
             accumulate=config.accumulate,

@@ -30,6 +30,7 @@ class Stream(enum.IntEnum):
     INIT = 0
     CROP = 2
     DROPOUT = 3
+    POSE = 4
 
 
 def stream_key(root: jax.Array, stream: Stream, index: int | jax.Array = 0) -> jax.Array:
@@ -73,6 +74,8 @@ class Update:
     """The optimizer."""
     augment: Augment | None = None
     """Changes the batch by a key, before the loss."""
+    perturb: Callable[[Batch, jax.Array, jax.Array], Batch] | None = None
+    """Changes the poses in the batch by the run's key of that and the step, before all else."""
     ema: float = 0.0
     """Largest decay of the moving average."""
     ema_power: float = 0.0
@@ -173,6 +176,8 @@ def train_step(
     Returns:
         The state after the update, and scalars: those of the loss, "loss", "grad_norm", "skipped".
     """
+    if update.perturb is not None:
+        batch = update.perturb(batch, stream_key(root, Stream.POSE), state.step)
     if update.augment is not None:
         batch = update.augment(batch, stream_key(root, Stream.CROP, state.step))
     key = stream_key(root, Stream.DROPOUT, state.step)

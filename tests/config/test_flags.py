@@ -54,7 +54,7 @@ def test_help_shows_choices_and_presets(capsys):
         parse(TrainConfig, ["--help"])
     assert stop.value.code == 0
     shown = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    assert "--conditioning {none,token,early,late,keypoints}" in shown
+    assert "--conditioning {none,token,early,late,keypoints,warp,prope,gta,ray_rope}" in shown
     assert "Learning rate at its peak. (default: the preset's)" in shown
     assert "None" not in shown
     for field in dataclasses.fields(TrainConfig):

@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import gc
 import signal
 import sys
 
@@ -49,6 +50,16 @@ def test_exit_codes_and_clean_messages(kind, code, run, capsys):
     assert kind in shown
     assert "camera[0]: what is [bold]wrong[/bold]" in shown
     assert "Traceback" not in shown
+
+
+def test_the_garbage_collector_looks_rarely(run):
+    before = gc.get_threshold()
+    try:
+        with pytest.raises(SystemExit) as stopped:
+            run(lambda config, console: gc.get_threshold()[0] // 1000)
+    finally:
+        gc.set_threshold(*before)
+    assert stopped.value.code >= 50
 
 
 @pytest.mark.parametrize(("answer", "code"), [(None, None), (0, 0), (1, 1)])

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxcam.data.batches import demo_actions, make_dataset, stacked_batches
+from jaxcam.config.train import TrainConfig
+from jaxcam.data.batches import demo_actions, make_dataset, seen_by_cameras, stacked_batches
 from jaxcam.models.normalization import STD_FLOOR
 from jaxcam.sim.actions import ACTION_SPACES, action_dim
 
@@ -186,3 +187,49 @@ def test_a_keyframe_is_where_the_grip_is_when_its_command_next_changes(dataset, 
     np.testing.assert_allclose(
         batch["keyframe"][0], (expected - base)[closing - 1 : closing + 2], atol=1e-6
     )
+
+
+@pytest.mark.parametrize("space", ["eef_delta", "eef_abs"])
+def test_statistics_of_what_cameras_see_are_of_each_that_sees(demos, pictures, scene, space):
+    """By hand, of each demonstration as each of its cameras sees it."""
+    plain = make_dataset(demos, pictures, space, scene)
+    base_from_world = np.linalg.inv(scene.world_from_base)
+    config = TrainConfig(action_space=space, action_frame="camera", views=1)
+    stats = seen_by_cameras(plain, config, base_from_world).stats()
+    kept, values, points = plain.stats(), [], []
+    for d, demo in enumerate(demos.train):
+        for camera in demo.cameras:
+            world_from_camera = demos.header.world_from_camera[camera]
+            turn, centre = world_from_camera[:3, :3], world_from_camera[:3, 3]
+            moves = demo_actions(demo, space, scene)
+            ends = moves[:, :3] - (centre if space == "eef_abs" else 0)
+            values.append(np.concatenate([ends @ turn, moves[:, 3:6] @ turn, moves[:, 6:]], -1))
+            keys = plain.keyframes[d, : demo.length] @ scene.world_from_base[:3, :3].T
+            points.append((keys + scene.world_from_base[:3, 3] - centre) @ turn)
+    for name, all_of in (("action", values), ("keyframe", points)):
+        all_of = np.concatenate(all_of)
+        np.testing.assert_allclose(stats[f"{name}_mean"], all_of.mean(0), rtol=1e-3, atol=1e-4)
+        wanted = np.maximum(all_of.std(0), STD_FLOOR)
+        np.testing.assert_allclose(stats[f"{name}_std"], wanted, rtol=1e-3, atol=1e-5)
+        np.testing.assert_allclose(stats[f"{name}_min"], all_of.min(0), rtol=1e-3, atol=1e-4)
+    np.testing.assert_array_equal(stats["proprio_mean"], kept["proprio_mean"])
+    assert seen_by_cameras(plain, TrainConfig(action_space=space), base_from_world) is plain
+
+
+def test_cameras_that_move_see_their_own_step_and_the_last_is_never_first(dataset):
+    rng = np.random.default_rng(0)
+    count, views = len(dataset.lengths), 2
+    poses = np.tile(np.eye(4, dtype=np.float32), (5000, 1, 1))
+    poses[:, :3, 3] = rng.normal(size=(5000, 3))  # turned by nothing: a move is a move everywhere
+    windows = [rng.integers(0, 5000, (n, 3)) for n in dataset.lengths]
+    moving = replace(dataset, base_from_camera=poses, windows=windows, ordered=True)
+    config = TrainConfig(action_space="eef_abs", action_frame="camera", views=views)
+    stats = seen_by_cameras(moving, config, np.eye(4)).stats()
+    viewed = [
+        dataset.actions[d, :n, None, :3] - poses[windows[d][:, :2], :3, 3]
+        for d, n in enumerate(dataset.lengths[: dataset.train])
+    ]
+    viewed = np.concatenate([part.reshape(-1, 3) for part in viewed])
+    np.testing.assert_allclose(stats["action_max"][:3], viewed.max(0), rtol=1e-5)
+    np.testing.assert_allclose(stats["action_mean"][:3], viewed.mean(0), rtol=1e-3, atol=1e-5)
+    assert count > dataset.train

@@ -14,7 +14,7 @@ from jaxcam.data.caches import Cache
 from jaxcam.data.pictures import load_pictures
 from jaxcam.errors import DatasetError, SimError
 from jaxcam.rays.intrinsics import intrinsics
-from jaxcam.sim.mujoco.render import Renderer
+from jaxcam.sim import painter_of
 from jaxcam.sim.types import View
 
 Usage = namedtuple("Usage", "total used free")
@@ -296,12 +296,12 @@ def test_a_disk_that_fills_up_keeps_what_is_done(elsewhere, pictures, monkeypatc
     np.testing.assert_array_equal(load_pictures(elsewhere, PIXELS).rgb, pictures.rgb)
 
 
-def test_other_pictures_have_another_cache(demos, pictures):
+def test_other_pictures_have_another_cache(demos, pictures, scene):
     before = set(pictures_in(demos))
     small = load_pictures(demos, 16)
     assert small.rgb.shape[1:] == (16, 16, 3)
     (name,) = set(pictures_in(demos)) - before
-    for part in (demos.fingerprint, "-16px-", Renderer.look()):
+    for part in (demos.fingerprint, "-16px-", painter_of(scene).look()):
         assert part in name
 
 
@@ -315,9 +315,11 @@ def test_other_pictures_have_another_cache(demos, pictures):
         (lambda c, x: np.save(c, x / np.float32(255)), "but are float32"),
     ],
 )
-def test_a_cache_that_is_not_what_was_written_is_refused(elsewhere, pictures, change, words):
+def test_a_cache_that_is_not_what_was_written_is_refused(elsewhere, pictures, scene, change, words):
     (elsewhere.path.parent / "frames").mkdir()
-    name = f"{elsewhere.path.stem}-{elsewhere.fingerprint}-{PIXELS}px-{Renderer.look()}.npy"
+    name = (
+        f"{elsewhere.path.stem}-{elsewhere.fingerprint}-{PIXELS}px-{painter_of(scene).look()}.npy"
+    )
     cache = elsewhere.path.parent / "frames" / name
     np.save(cache, pictures.rgb)
     change(cache, np.array(pictures.rgb))
@@ -328,18 +330,19 @@ def test_a_cache_that_is_not_what_was_written_is_refused(elsewhere, pictures, ch
 
 
 @pytest.fixture
-def black(monkeypatch):
+def black(monkeypatch, scene):
     """Makes all pictures of the next so many renderers black, whenever those draw."""
 
     def break_next(count):
-        draw, broken = Renderer.rgb, []
+        painter = painter_of(scene)
+        draw, broken = painter.rgb, []
 
         def rgb(self, view):
             if self not in broken and len(broken) < count:
                 broken.append(self)
             return draw(self, view) * (self not in broken)
 
-        monkeypatch.setattr(Renderer, "rgb", rgb)
+        monkeypatch.setattr(painter, "rgb", rgb)
 
     return break_next
 

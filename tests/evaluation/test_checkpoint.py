@@ -95,7 +95,8 @@ def test_a_rollout_of_both_videos_is_drawn_once(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("other", [{"width": 3}, {"engine": "mjx"}, {"ensemble": 0.1},
-                                   {"step": 6}, {"split": "validation"}])  # fmt: skip
+                                   {"step": 6}, {"split": "validation"},
+                                   {"eval_pose_noise": "1,1"}])  # fmt: skip
 def test_rows_that_were_made_in_another_way_do_not_count(tmp_path, other):
     evaluator = FlakyEvaluator()
     evaluate(evaluator, candidate(tmp_path), Wanted(pairs=1))

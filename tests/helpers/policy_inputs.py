@@ -9,9 +9,12 @@ import numpy as np
 
 from jaxcam.config.names import Conditioning, names_of
 from jaxcam.models import ACT_PRESETS, ActConfig, Policy, PolicySpec, make_policy
-from jaxcam.models.conditioning import NOMINAL_POSE
+from jaxcam.models.conditioning import IN_ATTENTION, NOMINAL_POSE
+from jaxcam.rays.rotations import matrix_from_rotvec
 
 CONDITIONINGS = names_of(Conditioning)
+OUTSIDE_ATTENTION = [name for name in CONDITIONINGS if name not in IN_ATTENTION]
+"""The ways that need no transformer."""
 CHUNK, ACTION, PROPRIO = 4, 3, 5
 
 
@@ -24,6 +27,8 @@ def tiny(preset: str, conditioning: str, **changes: object) -> ActConfig:
     if preset == "paper":
         sizes |= {"encoder": "small", "encoder_depth": 1, "heads": 2, "hidden": 16}
         sizes |= {"latent_layers": 1, "latent_dim": 4}
+    if preset == "attention":
+        sizes |= {"heads": 2, "hidden": 16, "fold": 2}
     twin_of = ACT_PRESETS[preset].network if conditioning == "none" else conditioning
     settings = {"conditioning": conditioning, "twin_of": twin_of} | sizes | changes
     return replace(ACT_PRESETS[preset], **settings)  # pyright: ignore[reportArgumentType]
@@ -62,10 +67,16 @@ def make_batch(
     }
 
 
+def laptop(conditioning: str) -> str:
+    """The laptop's preset that has a way of conditioning."""
+    return "attention" if conditioning in IN_ATTENTION else "laptop"
+
+
 def moved(batch: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The same pictures, said to be taken from elsewhere."""
     pose = batch["base_from_camera"].copy()
     pose[..., :3, 3] += (0.1, -0.2, 0.15)
+    pose[..., :3, :3] = matrix_from_rotvec(np.array([0.1, 0.2, -0.3])) @ pose[..., :3, :3]
     return batch | {"base_from_camera": pose}
 
 

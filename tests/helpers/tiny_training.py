@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxcam.config.conditions import Conditions
 from jaxcam.config.train import TrainConfig
 from jaxcam.data.batches import Dataset
 from jaxcam.data.pairs import Pairs
@@ -110,6 +111,7 @@ class PairsEvaluator:
     """Stands for the simulator: pair 1 ends in an error at first, pair 2 always."""
 
     width, engine_name, ensemble = 2, "native", 0.0
+    conditions = Conditions()
 
     def __init__(self):
         self.task = type("Task", (), {"horizon": 3})

@@ -180,6 +180,16 @@ def test_of_an_evaluation_that_was_run_in_two_ways_the_last_counts_alone(way):
     assert latest_rows([other, first, second]) == [first, second]
 
 
+def test_rows_of_each_condition_are_kept():
+    clean, noisy = (
+        [Row(pair=p, status="ok", success=won, eval_pose_noise=noise) for p in range(3)]
+        for won, noise in ((True, None), (False, "1,1"))
+    )
+    again = [replace(row, engine="mjx-warp") for row in noisy]
+    assert latest_rows([*clean, *noisy]) == [*clean, *noisy]
+    assert latest_rows([*noisy, *clean, *again]) == [*again, *clean]  # ways count within each
+
+
 def test_of_several_ways_the_last_one_counts_with_all_its_rows():
     """A pair that is run anew in a way counts with those that were run in it before."""
     plain = [Row(pair=pair, status="ok", success=True, engine="native") for pair in range(3)]

@@ -50,6 +50,16 @@ def test_a_request_overrules_the_file(tmp_path):
     assert moment["distortion"][0, 0] == np.float32(-0.2)
 
 
+def test_of_a_camera_on_the_hand_the_request_says_where_it_is(tmp_path):
+    own = {k: v for k, v in entry(x=0.25).items() if k != "base_from_camera"}
+    views = {"front": entry(x=0.0), "wrist": own | {"grip_from_camera": np.eye(4).tolist()}}
+    rig = read_rig(write(tmp_path, views), NAMES.views)
+    assert not rig.says_all_of(NAMES.views)
+    given = {k: v for k, v in request().items() if k != "camera.wrist.intrinsics"}
+    (moment,) = RequestReader(NAMES, SPEC, rig=rig).read(given).moments
+    assert np.isfinite(moment["base_from_camera"]).all()
+
+
 def test_pictures_of_another_shape_than_in_the_file(tmp_path):
     rig = read_rig(write(tmp_path, {"front": entry((64, 64))}), NAMES.views)
     with pytest.raises(JaxcamError, match="K is for 64x64, the pictures are 48x32"):

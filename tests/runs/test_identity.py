@@ -66,6 +66,16 @@ def test_rotations_are_of_one_action_space():
     assert identity(new) != identity(old)
 
 
+def test_the_robots_frame_of_actions_is_not_told_and_another_one_is():
+    """Results from before there was another one are compared with those since."""
+    assert "action_frame" not in identity(LAPTOP)
+    other = identity(changed(action_frame="camera"))
+    assert changes(other | {"engine": "native"}) == {"action_frame": "camera"}
+    assert changed(action_frame="camera").run_dir.endswith("-keypoints-camera_frame-0")
+    (difference,) = differences(LAPTOP, dataclasses.replace(LAPTOP, action_frame="camera"))
+    assert difference.changes_program
+
+
 def test_given_values_win_over_the_preset():
     config = resolve(TrainConfig(lr=0.5, conditioning="none", run_dir="x"), accelerator=False)
     assert (config.lr, config.conditioning, config.run_dir) == (0.5, "none", "x")

@@ -94,8 +94,10 @@ def test_one_source_gives_the_same_torques_under_numpy_numba_and_jax():
         )
         out, mass_at = np.empty((1, 7)), np.arange(49).reshape(7, 7)
         goal = tuple(x[None] for x in goal)
-        TORQUES[name](sensed, mass_at, np.array([0]), goal, out)
-        np.testing.assert_allclose(out[0], torque, rtol=1e-9)
+        for reach in (1e9, np.median(abs(torque))):
+            limits = np.tile([[-reach], [reach]], 7)
+            TORQUES[name](sensed, mass_at, np.array([0], np.int32), goal, limits, out)
+            np.testing.assert_allclose(out[0], np.clip(torque, -reach, reach), rtol=1e-9)
 
 
 def test_rotation_error_is_the_axis_times_the_sine_of_the_angle():

@@ -189,12 +189,12 @@ def test_agreeing_deltas_give_what_open_loop_gives(lift, scene, renderer, space)
     np.testing.assert_allclose(runs[1], runs[0], atol=1e-6)
 
 
-def test_a_compiled_rollout_is_the_same(lift, scene, renderer):
+def test_a_compiled_rollout_is_the_same(lift, scene, mjx_renderer):
     chunks = near(lift, scene).astype(np.float32)
     act = Partial(lambda chunks, obs, call, active: chunks[call], jnp.asarray(chunks))
     how = {"execute": CHUNK, "ensembling": 0.3}
     qpos = [
-        roll(act, engine, lift, scene, renderer, "eef_abs_world", **how).qpos
+        roll(act, engine, lift, scene, mjx_renderer, "eef_abs_world", **how).qpos
         for engine in (
             NativeEngine(scene, "osc_pose", lift.varied),
             MjxEngine(scene, "osc_pose", lift.varied),

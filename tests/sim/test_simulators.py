@@ -43,9 +43,9 @@ def test_what_is_named_is_there(name):
     for part in (*parts, *simulator.engines.values()):
         assert callable(part.load())
     assert simulator.accelerated in simulator.engines
-    painter = simulator.painter.load()
-    assert callable(painter.look)
-    assert isinstance(painter.uses_all_cores(), bool)
+    for painter in (simulator.painter.load(), simulator.cpu_painter.load()):
+        assert callable(painter.look)
+        assert isinstance(painter.uses_all_cores(), bool)
 
 
 def test_unknown_engines_name_the_closest(scene):

@@ -84,7 +84,7 @@ def meaning_of(recording: Recording, grip: str = "") -> Meaning:
     Raises:
         ConfigError: The setting names no three columns of the state.
     """
-    columns = _grip_asked(grip, recording) if grip else _grip_named(recording)
+    columns = _grip_asked(grip, recording) if grip else grip_named(recording.state_names)
     grippers = [i for i, name in enumerate(recording.action_names) if opens_gripper(name)]
     return Meaning(columns, grippers[-1] if grippers else None)
 
@@ -94,9 +94,9 @@ def opens_gripper(name: str) -> bool:
     return "grip" in name.lower() and not _PLACE.match(name.lower())
 
 
-def _grip_named(recording: Recording) -> tuple[int, int, int] | None:
-    """Columns of the state whose names say that they are the grip's x, y and z."""
-    axes = {m[1]: i for i, n in enumerate(recording.state_names) if (m := _GRIP.match(n.lower()))}
+def grip_named(names: Sequence[str]) -> tuple[int, int, int] | None:
+    """Columns of a state whose names say that they are the grip's x, y and z."""
+    axes = {m[1]: i for i, n in enumerate(names) if (m := _GRIP.match(n.lower()))}
     return (axes["x"], axes["y"], axes["z"]) if len(axes) == 3 else None
 
 

@@ -42,9 +42,11 @@ class Placement:
     source: str
     """Where the pose is from, in words."""
     K: np.ndarray | None = None
-    """Intrinsics in pixels of the recorded pictures, float64 [3, 3]; a pinhole's."""
+    """Intrinsics in pixels of the recorded pictures, float64 [3, 3]."""
     K_source: str = ""
     """Where they are from, in words."""
+    distortion: np.ndarray | None = None
+    """The lens that goes with K, float64 [9]; a pinhole when None."""
 
 
 @dataclass(frozen=True)

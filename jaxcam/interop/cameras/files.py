@@ -21,7 +21,7 @@ and `docs/cameras.schema.json` is the same for editors.
 """
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, get_args
@@ -32,10 +32,13 @@ from jaxcam.config.fields import as_record
 from jaxcam.config.names import ActionMeaning
 from jaxcam.errors import ConfigError
 from jaxcam.files.json import read_json
+from jaxcam.interop.cameras.grips import GripEntries
 from jaxcam.interop.cameras.optics import LensName, Optics, optics_of
 from jaxcam.interop.cameras.poses import Axes, PoseFile, checked_pose, place_of
 from jaxcam.rays import invert
 
+POSES = ("base_from_camera", "world_from_camera", "grip_from_camera")
+"""Entries of a view that say where it stands; one of them."""
 FORMAT = 1
 """Number of the form that is written and read."""
 NOTES = (
@@ -79,6 +82,10 @@ class ViewEntries:
     """Pose in the robot's base frame; this or `world_from_camera`."""
     world_from_camera: list[Any] | dict[str, Any] | str | None = None
     """Pose in a world whose `world_from_base` the file has."""
+    grip_from_camera: list[Any] | dict[str, Any] | None = None
+    """Pose on the hand, of a camera that the hand carries; this or one of those two."""
+    grip: dict[str, Any] | None = None
+    """`GripEntries`: which numbers of a dataset's state are the hand's pose."""
     axes: Axes | None = None
     """Camera axes of the pose: `opencv` if left out, or `opengl`."""
 
@@ -95,12 +102,19 @@ class Pose:
     """Camera axes."""
     where: str
     """Which entry it is, for messages."""
+    carried: GripEntries | None = None
+    """Of a camera on the hand, which numbers are the hand's pose; its place is on the hand."""
 
-    def of(self, episode: tuple[str, ...]) -> np.ndarray | None:
+    def of(
+        self, episode: tuple[str, ...], hand: Callable[[GripEntries, str], np.ndarray] | None = None
+    ) -> np.ndarray | None:
         """Base from camera in an episode, float64 [4, 4] or [T, 4, 4]; None if it has none.
 
         Args:
             episode: Its names.
+            hand: The hand's poses in the base frame, [T, 4, 4], by which numbers they are, and by
+                the name of the entry that says so; where nobody knows them, a camera on the hand
+                has no pose.
 
         Raises:
             CameraError: It is no pose.
@@ -112,6 +126,8 @@ class Pose:
             if place is None:
                 return None
         pose = checked_pose(place, self.where, self.axes)
+        if self.carried is not None:
+            return None if hand is None else hand(self.carried, self.where) @ pose
         return pose if self.base_from_world is None else self.base_from_world @ pose
 
 
@@ -241,8 +257,9 @@ def _view(where: str, content: Any) -> ViewEntries:
 def _merged(view: ViewEntries, own: ViewEntries) -> ViewEntries:
     """What an episode says of a view, and what it leaves out of what holds for all."""
     said = {k: v for k, v in vars(own).items() if v is not None}
-    if {"base_from_camera", "world_from_camera"} & set(said):
-        view = dataclasses.replace(view, base_from_camera=None, world_from_camera=None)
+    if set(POSES) & set(said):
+        none = dict.fromkeys((*POSES, "grip"))
+        view = dataclasses.replace(view, **none)
     if {"lens", "distortion"} & set(said):
         view = dataclasses.replace(view, lens=None, distortion=None)
     return dataclasses.replace(view, **said)
@@ -252,11 +269,13 @@ def _entry(
     view: ViewEntries, where: str, folder: Path, base_from_world: np.ndarray | None
 ) -> Entry:
     optics = optics_of(vars(view), where)
-    given = [n for n in ("base_from_camera", "world_from_camera") if getattr(view, n) is not None]
+    given = [name for name in POSES if getattr(view, name) is not None]
+    if view.grip is not None and given != ["grip_from_camera"]:
+        raise ConfigError(f"{where}: 'grip' belongs to 'grip_from_camera', a camera on the hand.")
     if not given:
         return Entry(optics, None)
     if len(given) > 1:
-        raise ConfigError(f"{where}: both base_from_camera and world_from_camera. Leave one out.")
+        raise ConfigError(f"{where}: both {' and '.join(given)}. Leave one out.")
     name = f"{where}: {given[0]}"
     in_world = given[0] == "world_from_camera"
     if in_world and base_from_world is None:
@@ -264,6 +283,10 @@ def _entry(
             f"{name} without 'world_from_base' beside 'views': where does the robot stand?"
         )
     place = place_of(getattr(view, given[0]), name, folder)
+    if given[0] == "grip_from_camera":
+        carried = as_record(GripEntries, view.grip or {}, f"{where}: grip")
+        on_hand = checked_pose(_one(place, name), name)
+        return Entry(optics, Pose(on_hand, None, view.axes or "opencv", name, carried))
     pose = Pose(place, base_from_world if in_world else None, view.axes or "opencv", name)
     if not isinstance(place, PoseFile):
         pose.of(())

@@ -3,7 +3,7 @@
 import datetime
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +13,11 @@ from jaxcam.errors import ConfigError, JaxcamError
 from jaxcam.files.json import read_json
 from jaxcam.files.locks import exclusive
 from jaxcam.files.whole import whole
-from jaxcam.interop.cameras.files import FORMAT, read_cameras
+from jaxcam.interop.cameras.files import FORMAT, POSES, read_cameras
+from jaxcam.interop.cameras.grips import GripEntries
 from jaxcam.rays.rotations import quaternion_from_matrix
 
-POSES = ("base_from_camera", "world_from_camera", "axes")
+PLACED = (*POSES, "grip", "axes")
 """Entries of a view's pose: a new one takes the place of all of them."""
 OPTICS = ("K", "size", "pixel_centers", "lens", "distortion")
 """Likewise of how it sees."""
@@ -61,12 +62,26 @@ def optics_json(
 
 def pose_json(base_from_camera: np.ndarray) -> ViewJson:
     """The entry that says where a view stood, [4, 4]."""
-    quaternion = np.asarray(quaternion_from_matrix(base_from_camera[:3, :3]))
+    return {"base_from_camera": _parts(base_from_camera)}
+
+
+def carried_json(grip_from_camera: np.ndarray, grip: GripEntries) -> ViewJson:
+    """The entries that say where on the hand a camera is.
+
+    Args:
+        grip_from_camera: Array [4, 4].
+        grip: Which numbers of the state are the hand's pose.
+    """
+    said = {f.name: getattr(grip, f.name) for f in fields(grip)}
+    own = {f.name: said[f.name] for f in fields(grip) if said[f.name] != f.default}
+    return {"grip_from_camera": _parts(grip_from_camera)} | ({"grip": own} if own else {})
+
+
+def _parts(pose: np.ndarray) -> dict[str, list[float]]:
+    quaternion = np.asarray(quaternion_from_matrix(pose[:3, :3]))
     return {
-        "base_from_camera": {
-            "position": [round(float(x), 6) for x in base_from_camera[:3, 3]],
-            "quaternion_wxyz": [round(float(x), 8) for x in quaternion],
-        }
+        "position": [round(float(x), 6) for x in pose[:3, 3]],
+        "quaternion_wxyz": [round(float(x), 8) for x in quaternion],
     }
 
 
@@ -115,7 +130,7 @@ def update_cameras(path: Path, changes: Changes) -> Path:
                 episode[name] = _changed(episode.get(name) or {}, entries)
         for own in (e for e in content.get("episodes", {}).values() if e):
             for name in changes.everywhere:
-                own[name] = {k: v for k, v in own.pop(name, {}).items() if k not in POSES}
+                own[name] = {k: v for k, v in own.pop(name, {}).items() if k not in PLACED}
                 if not own[name]:
                     del own[name]
         if changes.about:
@@ -138,11 +153,11 @@ def overruled(path: Path, view: str) -> list[str]:
     """
     episodes = read_cameras(path).episodes
     content = read_json(path).get("episodes", {})
-    return [e for e in episodes if set(content[e].get(view) or {}) & set(POSES)]
+    return [e for e in episodes if set(content[e].get(view) or {}) & set(PLACED)]
 
 
 def _changed(old: ViewJson, new: ViewJson) -> ViewJson:
-    gone = {name for group in (POSES, OPTICS) if set(group) & set(new) for name in group}
+    gone = {name for group in (PLACED, OPTICS) if set(group) & set(new) for name in group}
     return {k: v for k, v in old.items() if k not in gone} | new
 
 

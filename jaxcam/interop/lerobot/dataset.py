@@ -146,6 +146,8 @@ def _features(config: LerobotConfig, data: Dataset, views: list[str]) -> dict[st
         features[f"observation.images.{view}"] = video_feature(height, width, CONTROL_HZ)
         features[f"camera.{view}.base_from_camera"] = feature("float32", (4, 4))
         features[f"camera.{view}.intrinsics"] = feature("float32", (3, 3))
+        if data.distortion is not None:
+            features[f"camera.{view}.distortion"] = feature("float32", data.distortion.shape[-1:])
     return features
 
 
@@ -157,6 +159,9 @@ def _rows(data: Dataset, demo: int, views: list[str]) -> dict[str, np.ndarray]:
         pose, K = data.base_from_camera[camera], data.K[camera]
         rows[f"camera.{view}.base_from_camera"] = np.broadcast_to(pose, (length, 4, 4))
         rows[f"camera.{view}.intrinsics"] = np.broadcast_to(K, (length, 3, 3))
+        if data.distortion is not None:
+            lens = data.distortion[camera]
+            rows[f"camera.{view}.distortion"] = np.broadcast_to(lens, (length, len(lens)))
     return rows
 
 

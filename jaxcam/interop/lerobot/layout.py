@@ -19,9 +19,9 @@ from jaxcam.models.smolvla.config import MOST_TOKENS
 LAST_GROUPS = 8
 """Groups of the last norm of LeRobot's U-Net, whatever `n_groups` says."""
 NOT_THERE = frozenset({
-    "conditioning", "twin_of", "nominal_pose", "ray_convention", "lift", "keypoint_features",
-    "encoder_depth", "compute_dtype", "floors", "action_std_floor", "pad_head", "padding",
-    "execute",
+    "conditioning", "twin_of", "nominal_pose", "warp_height", "warp_fovy_deg", "ray_convention",
+    "lift", "keypoint_features", "encoder_depth", "compute_dtype", "floors", "action_std_floor",
+    "pad_head", "padding", "execute",
 })  # fmt: skip
 """Settings of ours that LeRobot has in other words, or that mean nothing in a network of its."""
 OF_THE_RUN = NOT_THERE | {

@@ -66,8 +66,23 @@ class ActConfig(VisionConfig):
         check_known(self, padding=PADDINGS, **known)
         if self.width % self.heads:
             raise ConfigError(f"width {self.width} is not a multiple of heads {self.heads}.")
+        if self.frames_tokens:
+            self._check_frames()
         if self.dropout >= 1:
             raise ConfigError(f"dropout must be below 1, got {self.dropout}.")
+
+    def _check_frames(self) -> None:
+        """Refuse geometry in attention where there is none, or heads that it does not divide."""
+        if self.head != "transformer" or self.pools_keypoints:
+            raise ConfigError(
+                f"conditioning {self.network} is for attention between cells of a picture: take "
+                "--preset attention or paper, or --model head=transformer pool=grid fold=3."
+            )
+        if self.width // self.heads % 8:
+            raise ConfigError(
+                f"conditioning {self.network} needs heads of a multiple of 8 channels: width "
+                f"{self.width} over heads {self.heads} is {self.width / self.heads:g}."
+            )
 
     def outputs(self, spec: PolicySpec) -> int:
         """Numbers predicted a step: an action and, if asked for, its keyframe's position."""
@@ -113,3 +128,15 @@ ACT_PRESETS: dict[str, ActConfig] = {
         dropout=0.0,
     ),
 }
+# One network for all ways of conditioning: a transformer over 7 x 7 tokens of the small encoder.
+ACT_PRESETS["attention"] = replace(
+    ACT_PRESETS["laptop"],
+    conditioning="late",
+    twin_of="late",
+    pool="grid",
+    fold=3,
+    head="transformer",
+    width=64,
+    heads=4,
+    hidden=128,
+)

@@ -9,7 +9,7 @@ from flax import nnx
 
 from jaxcam.models.act.config import ActConfig
 from jaxcam.models.act.transformer import Decoder, Encoder, LayerSizes, sine_grid, sine_table
-from jaxcam.models.fusion import Vision, camera_poses
+from jaxcam.models.fusion import Vision, camera_poses, token_frames
 from jaxcam.models.layers import dropout, linear, split_key
 from jaxcam.models.policy import Key, Obs, PolicySpec
 
@@ -101,8 +101,10 @@ class TransformerHead(nnx.Module):
             table = self.image_position[...]
         position = jnp.concatenate([table, self.position[...]]).astype(dtype)
         encoder_key, decoder_key = split_key(key, 2)
-        memory = self.encoder(x, position, key=encoder_key)
-        y = self.decoder(self.query[...].astype(dtype), memory, position, key=decoder_key)
+        framing = token_frames(self.config, obs, self.grid, self.config.width // self.config.heads)
+        memory = self.encoder(x, position, key=encoder_key, framing=framing)
+        query = self.query[...].astype(dtype)
+        y = self.decoder(query, memory, position, key=decoder_key, framing=framing)
         return self.action(y)
 
     def _pose_vectors(self, obs: Obs, batch: int) -> jax.Array:

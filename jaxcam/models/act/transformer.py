@@ -25,6 +25,7 @@ from jaxcam.models.layers import (
     split_key,
 )
 from jaxcam.models.policy import Key
+from jaxcam.models.token_frames import TokenFrames
 
 
 def sine_table(length: int, width: int) -> np.ndarray:
@@ -90,19 +91,33 @@ class Attention(nnx.Module):
         self.dropout_rate = sizes.dropout
 
     def __call__(
-        self, q: jax.Array, k: jax.Array, v: jax.Array, *, key: Key, keep: jax.Array | None = None
+        self,
+        q: jax.Array,
+        k: jax.Array,
+        v: jax.Array,
+        *,
+        key: Key,
+        keep: jax.Array | None = None,
+        framing: tuple[TokenFrames | None, TokenFrames | None] = (None, None),
     ) -> jax.Array:
-        """Attend from ``q`` [B, N, D] to ``k``, ``v`` [B, M, D]; ``keep`` [B, M] hides the rest."""
+        """Attend from ``q`` [B, N, D] to ``k``, ``v`` [B, M, D].
+
+        ``keep`` [B, M] hides the rest; ``framing`` are the frames of the queries and of the keys.
+        """
+        asking, read = framing
         q, k, v = (
             layer(x).reshape(*x.shape[:-1], self.heads, -1)
             for layer, x in ((self.query, q), (self.key, k), (self.value, v))
         )
+        q = q if asking is None else asking.query(q)
+        k, v = (k, v) if read is None else (read.read(k), read.read(v))
         scores = jnp.einsum("bnhd,bmhd->bhnm", q, k, preferred_element_type=jnp.float32)
         scores = scores / np.sqrt(q.shape[-1])
         if keep is not None:
             scores = jnp.where(keep[:, None, None], scores, jnp.finfo(scores.dtype).min)
         weights = dropout(jax.nn.softmax(scores), self.dropout_rate, key).astype(v.dtype)
         mixed = jnp.einsum("bhnm,bmhd->bnhd", weights, v)
+        mixed = mixed if asking is None else asking.output(mixed)
         return self.out(mixed.reshape(*mixed.shape[:-2], -1))
 
 
@@ -131,14 +146,20 @@ class EncoderLayer(nnx.Module):
         self.dropout_rate, self.pre_norm = sizes.dropout, sizes.pre_norm
 
     def __call__(
-        self, x: jax.Array, position: jax.Array, *, key: Key, keep: jax.Array | None = None
+        self,
+        x: jax.Array,
+        position: jax.Array,
+        *,
+        key: Key,
+        keep: jax.Array | None = None,
+        framing: TokenFrames | None = None,
     ) -> jax.Array:
-        """Map tokens [B, N, D] with positions that broadcast to them."""
+        """Map tokens [B, N, D] with positions that broadcast to them, and perhaps frames."""
         keys = split_key(key, 4)
         before, after = _placed(self.pre_norm)
         y = before(self.norm1, x)
         q = y + position
-        y = self.attention(q, q, y, key=keys[0], keep=keep)
+        y = self.attention(q, q, y, key=keys[0], keep=keep, framing=(framing, framing))
         x = after(self.norm1, x + dropout(y, self.dropout_rate, keys[1]))
         y = self.feed_forward(before(self.norm2, x), key=keys[2])
         return after(self.norm2, x + dropout(y, self.dropout_rate, keys[3]))
@@ -176,11 +197,17 @@ class Encoder(nnx.Module):
         self.norm = layer_norm(sizes.width, rngs=rngs, dtype=dtype) if sizes.pre_norm else None
 
     def __call__(
-        self, x: jax.Array, position: jax.Array, *, key: Key, keep: jax.Array | None = None
+        self,
+        x: jax.Array,
+        position: jax.Array,
+        *,
+        key: Key,
+        keep: jax.Array | None = None,
+        framing: TokenFrames | None = None,
     ) -> jax.Array:
         """Map tokens [B, N, D]; ``keep`` [B, N] is False at tokens nobody may attend to."""
         for layer, layer_key in zip(self.layers, split_key(key, len(self.layers)), strict=True):
-            x = layer(x, position, key=layer_key, keep=keep)
+            x = layer(x, position, key=layer_key, keep=keep, framing=framing)
         return x if self.norm is None else self.norm(x)
 
 
@@ -207,9 +234,15 @@ class Decoder(nnx.Module):
         self.dropout_rate, self.pre_norm = sizes.dropout, sizes.pre_norm
 
     def __call__(
-        self, query: jax.Array, memory: jax.Array, position: jax.Array, *, key: Key
+        self,
+        query: jax.Array,
+        memory: jax.Array,
+        position: jax.Array,
+        *,
+        key: Key,
+        framing: TokenFrames | None = None,
     ) -> jax.Array:
-        """Read ``memory`` [B, M, D] at the learned ``query`` positions [T, D]."""
+        """Read ``memory`` [B, M, D], of these frames, at the learned ``query`` positions [T, D]."""
         keys = split_key(key, 6)
         rate = self.dropout_rate
         before, after = _placed(self.pre_norm)
@@ -219,7 +252,7 @@ class Decoder(nnx.Module):
         y = self.self_attention(q, q, y, key=keys[0])
         x = after(self.norm1, x + dropout(y, rate, keys[1]))
         y = before(self.norm2, x) + query
-        y = self.cross_attention(y, memory + position, memory, key=keys[2])
+        y = self.cross_attention(y, memory + position, memory, key=keys[2], framing=(None, framing))
         x = after(self.norm2, x + dropout(y, rate, keys[3]))
         y = self.feed_forward(before(self.norm3, x), key=keys[4])
         return self.norm(after(self.norm3, x + dropout(y, rate, keys[5])))

@@ -84,6 +84,11 @@ class DiffusionConfig(VisionConfig):
                 f"got {self.channels} and {self.hidden}."
             )
         check_known(self, sampler=SAMPLERS, padding=PADDINGS)
+        if self.frames_tokens:
+            raise ConfigError(
+                f"Diffusion Policy has no conditioning '{self.network}': that is geometry in "
+                "attention, and its U-Net has none. ACT and SmolVLA have it."
+            )
         multiple = 2 ** (len(self.channels) - 1)
         if self.chunk % multiple:
             raise ConfigError(

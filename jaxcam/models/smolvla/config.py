@@ -5,7 +5,7 @@ from typing import ClassVar
 
 from jaxcam.config.fields import check_least
 from jaxcam.errors import ConfigError
-from jaxcam.models.conditioning import VisionConfig, check_known
+from jaxcam.models.conditioning import IN_ATTENTION, VisionConfig, check_known
 from jaxcam.models.losses import PADDINGS
 from jaxcam.models.policy import PolicySpec
 
@@ -117,6 +117,8 @@ class SmolVlaConfig(VisionConfig):
             train=("all", "expert"),
             padding=PADDINGS,
         )
+        if self.frames_tokens:
+            self._check_frames()
         if self.encoder == "siglip":
             self._check_tower()
         if self.image_size % (self.patch * self.shuffle):
@@ -141,13 +143,26 @@ class SmolVlaConfig(VisionConfig):
                     "that of the vision language model?"
                 )
 
+    def _check_frames(self) -> None:
+        """Refuse geometry in attention between keypoints, or heads that it does not divide."""
+        if self.pools_keypoints:
+            raise ConfigError(
+                f"conditioning {self.network} is for attention between cells of a picture: take "
+                "--model pool=grid fold=3, or a preset with the pretrained tower."
+            )
+        if self.head_dim % 8:
+            raise ConfigError(
+                f"conditioning {self.network} needs heads of a multiple of 8 channels; head_dim is "
+                f"{self.head_dim}."
+            )
+
     def _check_tower(self) -> None:
         """Refuse what the pretrained tower cannot have."""
-        if self.network not in (known := ("none", "token", "late")):
+        if self.network not in (known := ("none", "token", "late", "warp", *IN_ATTENTION)):
             raise ConfigError(
                 f"SmolVLA has no conditioning '{self.network}', only {', '.join(known)}: its "
                 "pretrained tower takes three channels and hands on every patch. --preset laptop "
-                "has a tower of its own and every conditioning."
+                "has a tower of its own and early and keypoints."
             )
         if (self.pool, self.image_scaling) != ("grid", "symmetric"):
             raise ConfigError(

@@ -15,7 +15,14 @@ from flax import nnx
 from jax.typing import DTypeLike
 
 from jaxcam.errors import ConfigError
-from jaxcam.models.fusion import Vision, camera_poses, grid_rays
+from jaxcam.models.fusion import (
+    Vision,
+    camera_poses,
+    canonical_images,
+    grid_rays,
+    table_view,
+    token_frames,
+)
 from jaxcam.models.layers import linear
 from jaxcam.models.policy import Obs, PolicySpec
 from jaxcam.models.resnet import RayEncoder, space_to_depth
@@ -24,6 +31,7 @@ from jaxcam.models.smolvla.flow import time_embedding
 from jaxcam.models.smolvla.siglip import Siglip
 from jaxcam.models.smolvla.smollm import NORMAL, KeyValue, Layer, dense, rms_norm
 from jaxcam.models.smolvla.stack import through
+from jaxcam.models.token_frames import TokenFrames
 from jaxcam.rays.rotations import Array
 
 Contexts = tuple[KeyValue, ...]
@@ -133,6 +141,10 @@ class SmolVla(nnx.Module):
             if self.vision is not None and config.network == "late"
             else None
         )
+        if config.network == "warp":
+            table_view(config, spec.height, spec.width)  # refuses one that sees no table
+        side = 0 if self.vision is None else self.vision.grid // config.shuffle
+        self.grid = (side, side) if self.tower is None else self.tower.see.grid
         token = config.network == "token"
         self.pose = linear(16, width, rngs=rngs, dtype=dtype) if token else None
         self.state = linear(config.state_width, width, rngs=rngs, dtype=dtype)
@@ -158,10 +170,13 @@ class SmolVla(nnx.Module):
             parts.append(self.pose(poses.reshape(*poses.shape[:2], 16)))
         parts.append(self.state(state)[:, None])
         x = jnp.concatenate([p.astype(self.config.dtype) for p in parts], 1)
+        # Rotary positions of its own tell tokens apart.
+        framing = token_frames(self.config, obs, self.grid, self.config.head_dim, cells=False)
         if is_word is None:
-            return self._read(x, None)
+            return self._read(x, None, framing)
         before, behind = images.shape[1], x.shape[1] - images.shape[1] - words.shape[1]
-        return self._read(x, jnp.pad(is_word, ((0, 0), (before, behind)), constant_values=True))
+        is_there = jnp.pad(is_word, ((0, 0), (before, behind)), constant_values=True)
+        return self._read(x, is_there, framing)
 
     def velocity(self, prefix: Prefix, x: jax.Array, time: jax.Array) -> jax.Array:
         """Velocities at noisy actions [B, T, W] and times [B], float32 [B, T, W]."""
@@ -192,7 +207,9 @@ class SmolVla(nnx.Module):
         is_word = jnp.arange(longest) < lengths[asked][:, None]
         return self.embed(jnp.asarray(table)[asked]), is_word
 
-    def _read(self, x: jax.Array, is_there: jax.Array | None) -> Prefix:
+    def _read(
+        self, x: jax.Array, is_there: jax.Array | None, framing: TokenFrames | None
+    ) -> Prefix:
         positions: Array = np.arange(x.shape[1])
         # The state, the last token, is a block of its own; before it everyone sees everyone.
         mask: Array = np.tri(len(positions), dtype=bool)
@@ -209,9 +226,10 @@ class SmolVla(nnx.Module):
             contexts = []
             for layer, reader, cross in zip(*blocks, crosses, strict=True):
                 y = layer.norm1(x)
-                context = layer.keys_values(y, positions)
-                x = layer.attend(x, layer.queries(y, positions), context, mask)
-                contexts.append(reader.read(context) if cross else context)
+                plain = layer.keys_values(y, positions)
+                context = plain.framed(framing)
+                x = layer.attend(x, layer.queries(y, positions), context, mask, framing)
+                contexts.append(reader.read(plain).framed(framing) if cross else context)
             return x, tuple(contexts)
 
         both = list(zip(self._turns(self.text), self._turns(self.expert), strict=True))
@@ -227,7 +245,8 @@ class SmolVla(nnx.Module):
         config = self.config
         if self.tower is not None:
             return self.tower(obs)
-        pictures = obs["image"].reshape(-1, *obs["image"].shape[2:])
+        pictures = canonical_images(config, obs) if config.network == "warp" else obs["image"]
+        pictures = pictures.reshape(-1, *pictures.shape[2:])
         x = pictures.astype(jnp.float32) / 127.5 - 1
         shape = (x.shape[0], config.image_size, config.image_size, 3)
         # Bilinear as PyTorch's interpolation is: half-pixel centres, nothing filtered.

@@ -13,6 +13,7 @@ from jax.nn.initializers import Initializer, normal
 from jax.typing import DTypeLike
 
 from jaxcam.models.layers import TORCH
+from jaxcam.models.token_frames import TokenFrames
 from jaxcam.rays.rotations import Array, array_namespace
 
 WAVELENGTH = 10_000.0
@@ -29,6 +30,10 @@ class KeyValue(NamedTuple):
 
     key: jax.Array
     value: jax.Array
+
+    def framed(self, framing: TokenFrames | None) -> "KeyValue":
+        """As they are read from the base's frame; as they are without frames."""
+        return self if framing is None else KeyValue(*map(framing.read, self))
 
 
 def dense(
@@ -116,7 +121,12 @@ class Layer(nnx.Module):
         return KeyValue(self._heads(self.key(key)), self._heads(self.value(value)))
 
     def attend(
-        self, x: jax.Array, query: jax.Array, context: KeyValue, mask: Array | None
+        self,
+        x: jax.Array,
+        query: jax.Array,
+        context: KeyValue,
+        mask: Array | None,
+        framing: TokenFrames | None = None,
     ) -> jax.Array:
         """Tokens after attention and perceptron.
 
@@ -125,9 +135,12 @@ class Layer(nnx.Module):
             query: Their rotated queries.
             context: What they attend to.
             mask: Where they may, [N, M] or [B, N, M]; None is everywhere.
+            framing: Of the tokens; those of what they attend to are in it already.
         """
         keep = None if mask is None else mask.reshape(-1, 1, *mask.shape[-2:])
+        query = query if framing is None else framing.query(query)
         mixed = jax.nn.dot_product_attention(query, context.key, context.value, mask=keep)
+        mixed = mixed if framing is None else framing.output(mixed)
         x = x + self.out(mixed.reshape(*mixed.shape[:2], -1))
         y = self.norm2(x)
         return x + self.down(jax.nn.silu(self.gate(y)) * self.up(y))

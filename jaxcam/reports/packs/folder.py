@@ -13,7 +13,7 @@ from jaxcam.files.locks import exclusive
 from jaxcam.files.whole import write_together
 from jaxcam.reports.arms import Run
 from jaxcam.reports.packs.records import NAMED, read_records
-from jaxcam.results.rows import USUAL_WAY, Row
+from jaxcam.results.rows import CONDITIONS, USUAL_WAY, Row
 from jaxcam.results.stats import latest_rows
 from jaxcam.runs.foreign import has_foreign
 from jaxcam.runs.identity import Settings
@@ -21,7 +21,7 @@ from jaxcam.runs.rollouts import of_one_run
 
 ROWS, RUNS = "rows.jsonl", "runs.json"
 _KEPT = ("step", "split", "pair", "pair_sha", "weights_sha", "success", "status", "cause", "steps",
-         "azimuth_deg", "elevation_deg", "distance", "renderer", "width")  # fmt: skip
+         "azimuth_deg", "elevation_deg", "distance", "renderer", "width", "fovy_deg")  # fmt: skip
 
 
 def write_results(folder: Path, runs: Sequence[Run]) -> None:
@@ -132,7 +132,7 @@ def read_results(folder: Path, split: str | None) -> list[Run]:
         shared |= {"run": record.name, "seed": record.seed}
         # Where a run was evaluated in several ways, the settings list them all.
         shared |= {k: v for k, v in record.settings.items()
-                   if k in USUAL_WAY and not isinstance(v, list)}  # fmt: skip
+                   if k in CONDITIONS or (k in USUAL_WAY and not isinstance(v, list))}  # fmt: skip
         given = lines.get(record.run, [])
         rows = of_one_run((where, Row.from_json(line | shared, where)) for where, line in given)
         rows = [row for row in latest_rows(rows) if split is None or row.split == split]

@@ -1,7 +1,7 @@
 """Boards: what is printed on them, where their corners lie, and finding those in a picture."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import get_args
 
@@ -10,8 +10,11 @@ import numpy as np
 
 from jaxcam.config.calibrate import BoardName, TagFamily
 from jaxcam.errors import ConfigError
+from jaxcam.robot.calibration.corners import refine_board
 from jaxcam.robot.calibration.projection import HALF
 
+MARKERS = (0.5, 0.6, 0.75, 0.8, 0.9)
+"""Sides of markers that others print, in squares."""
 LEAST_CORNERS = 6
 """Corners of a board that a picture must show."""
 
@@ -53,7 +56,7 @@ class Board:
     family: TagFamily
 
     def __post_init__(self) -> None:
-        if self.kind == "charuco":
+        if self.kind != "chessboard":
             needed, known = self.columns * self.rows // 2, len(dictionary_of(self.family).bytesList)
             if needed > known:
                 raise ConfigError(
@@ -67,7 +70,8 @@ class Board:
         squares = f"{self.columns}x{self.rows} squares of {1000 * self.square:g} mm"
         if self.kind == "chessboard":
             return f"chessboard, {squares}"
-        return f"ChArUco, {squares}, markers of {1000 * self.marker:g} mm, family {self.family}"
+        name = "ChArUco of OpenCV before 4.6" if self.kind == "charuco_legacy" else "ChArUco"
+        return f"{name}, {squares}, markers of {1000 * self.marker:g} mm, family {self.family}"
 
     @cached_property
     def points(self) -> np.ndarray:
@@ -79,7 +83,15 @@ class Board:
     def charuco(self) -> cv2.aruco.CharucoBoard:
         """OpenCV's own."""
         size = self.columns, self.rows
-        return cv2.aruco.CharucoBoard(size, self.square, self.marker, dictionary_of(self.family))
+        board = cv2.aruco.CharucoBoard(size, self.square, self.marker, dictionary_of(self.family))
+        board.setLegacyPattern(self.kind == "charuco_legacy")
+        return board
+
+    @cached_property
+    def outline(self) -> np.ndarray:
+        """Its outer corners, [4, 3] (m)."""
+        ends = [[0, 0], [self.columns, 0], [self.columns, self.rows], [0, self.rows]]
+        return np.c_[self.square * np.array(ends), np.zeros(4)]
 
     @cached_property
     def detector(self) -> cv2.aruco.CharucoDetector:
@@ -94,7 +106,7 @@ class Board:
         Args:
             pixels: Of a square's side.
         """
-        if self.kind == "charuco":
+        if self.kind != "chessboard":
             return self.charuco.generateImage((self.columns * pixels, self.rows * pixels))
         white = np.indices((self.rows, self.columns)).sum(0) % 2
         return np.kron(255 * white, np.ones((pixels, pixels))).astype(np.uint8)
@@ -111,13 +123,14 @@ class Board:
         corners, ids, tags, numbers = self.detector.detectBoard(grey)
         if ids is None or len(ids) < LEAST_CORNERS:
             return None
-        pixels = np.reshape(corners, (-1, 2)) + HALF
+        pixels = np.reshape(corners, (-1, 2)).astype(float) + HALF
         order = np.ravel(ids).astype(int)
         markers = {
             int(n): np.reshape(tag, (4, 2)).astype(float) + HALF
             for tag, n in zip(tags, np.ravel(numbers), strict=True)
         }
-        there = BoardSeen(name, order, pixels.astype(float), markers)
+        pixels = refine_board(grey, self.points[order, :2], pixels - HALF, self._clear) + HALF
+        there = BoardSeen(name, order, pixels, markers)
         rank = np.linalg.matrix_rank(np.c_[self.points[order, :2], np.ones(len(order))], tol=1e-9)
         return there if rank == 3 else None  # corners on one line say nothing
 
@@ -127,8 +140,16 @@ class Board:
         whole, corners = cv2.findChessboardCornersSB(grey, size, flags=flags)
         if not whole:
             return None
-        pixels = np.reshape(corners, (-1, 2)).astype(float) + HALF
-        return BoardSeen(name, np.arange(len(pixels)), pixels)
+        pixels = np.reshape(corners, (-1, 2)).astype(float)
+        pixels = refine_board(grey, self.points[:, :2], pixels, self._clear)
+        return BoardSeen(name, np.arange(len(pixels)), pixels + HALF)
+
+    @property
+    def _clear(self) -> np.ndarray:
+        """From a corner, the nearest things that are not its four squares, [4, 2] (m)."""
+        if self.kind == "chessboard":
+            return self.square * np.array([[1.0, 0], [-1, 0], [0, 1], [0, -1]])
+        return (self.square - self.marker) / 2 * np.array([[1.0, 1], [1, -1], [-1, 1], [-1, -1]])
 
 
 def why_not(grey: np.ndarray, board: Board) -> str:
@@ -140,9 +161,12 @@ def why_not(grey: np.ndarray, board: Board) -> str:
     """
     if board.find(np.ascontiguousarray(grey[:, ::-1])):
         return "it is there mirrored: the pictures are flipped left to right. Take them unflipped"
-    if board.kind == "chessboard":
-        return ""
     numbers = [tag for tag, _ in tags_in(grey, board.family)]
+    if board.kind == "chessboard":
+        return "it has markers: --board charuco" if len(numbers) >= 3 else ""
+    for other, flags in _others(board) if len(numbers) >= 3 else ():
+        if other.find(grey):
+            return f"it is there as {other.words}: {flags}"
     if len(numbers) >= 3:
         last, most = board.columns * board.rows // 2 - 1, max(numbers)
         more = f", up to number {most} where this board ends with {last}" if most > last else ""
@@ -154,6 +178,31 @@ def why_not(grey: np.ndarray, board: Board) -> str:
     if other := other_family(grey, board.family):
         return f"markers of the family {other} are there: --family {other}"
     return ""
+
+
+def _others(board: Board) -> Iterator[tuple[Board, str]]:
+    """Boards that somebody may have meant, and the flags that say so."""
+    kind = "charuco" if board.kind == "charuco_legacy" else "charuco_legacy"
+    yield replace(board, kind=kind), f"--board {kind}"
+    if board.columns != board.rows:
+        turned = replace(board, columns=board.rows, rows=board.columns)
+        yield turned, f"--columns {turned.columns} --rows {turned.rows}. Count its squares"
+    for share in MARKERS:
+        marker = share * board.square
+        yield replace(board, marker=marker), f"--marker-mm {1000 * marker:g} or about that"
+
+
+def marker_sides(board: Board, views: Sequence[BoardSeen]) -> float:
+    """Side of the markers (m), as large as they look between corners; NaN where none is seen."""
+    sides = []
+    for view in views:
+        points = board.points[view.ids, :2]
+        plane = cv2.findHomography(view.pixels, points)[0]
+        if plane is None or not view.markers:
+            continue
+        flat = [cv2.perspectiveTransform(tag[None], plane)[0] for tag in view.markers.values()]
+        sides += [np.linalg.norm(np.roll(tag, -1, 0) - tag, axis=-1).mean() for tag in flat]
+    return float(np.median(sides)) if sides else float("nan")
 
 
 def tags_in(grey: np.ndarray, family: TagFamily) -> Iterator[tuple[int, np.ndarray]]:

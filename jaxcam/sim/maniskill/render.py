@@ -6,12 +6,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxcam.errors import SimError
 from jaxcam.sim.maniskill.machine import device, has_accelerator
 from jaxcam.sim.maniskill.memory import PIXELS, ROWS
 from jaxcam.sim.maniskill.pool import Pool, pool_of
 from jaxcam.sim.maniskill.scene import SapienWorld
 from jaxcam.sim.maniskill.studio import SHADER
+from jaxcam.sim.painter import require_pinholes
 from jaxcam.sim.types import View
+from jaxcam.sim.world import World
 
 RGB_BYTES, LAYER_BYTES = 3, 11
 """Bytes of a pixel: of its colour alone, and with depth and segment."""
@@ -62,6 +65,11 @@ class SapienPainter:
         return f"sapien{version('sapien')}-{SHADER}-{device().kind}"
 
     @staticmethod
+    def draws(world: World) -> bool:
+        """All there is."""
+        return True
+
+    @staticmethod
     def uses_all_cores() -> bool:
         """Each of its child processes draws on a core, or one on the card."""
         return True
@@ -75,6 +83,13 @@ class SapienPainter:
         return self._draw(view, layers=True)
 
     def _draw(self, view: View, *, layers: bool) -> Layers:
+        require_pinholes(view)
+        if has_accelerator() and np.ptp(view.K, 0).any():
+            raise SimError(
+                "On a graphics card SAPIEN's cameras share one K, and these differ: hide the card "
+                "(CUDA_VISIBLE_DEVICES=) to draw them on the CPU, or leave fovy, aspect, centre "
+                "and lens out."
+            )
         count, height, width = len(view.qpos), self.height, self.width
         size, deep = (count, height, width), (count * layers, height, width)
         drawn = Layers(

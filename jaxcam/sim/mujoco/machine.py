@@ -4,7 +4,6 @@ import functools
 import os
 
 import jax
-import warp as wp
 
 from jaxcam.errors import MachineError
 
@@ -21,6 +20,8 @@ def start_warp() -> None:
     Raises:
         MachineError: The folder that its compiled kernels go to cannot be made.
     """
+    import warp as wp  # its import takes a second, which who needs no Warp need not wait
+
     wp.config.log_level = wp.LOG_ERROR
     stderr, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:

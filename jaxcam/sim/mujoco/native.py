@@ -19,7 +19,7 @@ from jaxcam.sim.mujoco.bodies import box_inertia, full_from_sparse
 from jaxcam.sim.mujoco.scene import Scene
 from jaxcam.sim.types import Command, ControllerName, Start, State
 
-TOGETHER = 64
+TOGETHER = 16
 """Worlds that go through a control step together, at most: few enough that their data stays in a
 core's cache, enough to share the fixed cost of a call."""
 LEAST = 4
@@ -122,7 +122,6 @@ class NativeEngine(Engine):
         self._threads = threads or os.cpu_count() or 1
         self._pool = ThreadPoolExecutor(self._threads)
         self._varied = [scene.physics.geom(name).id for name in varied]
-        self._limits = scene.physics.actuator_ctrlrange[scene.arm].T
         self.shares: list[Share] = []
         self._places: list[slice] = []
 
@@ -144,7 +143,7 @@ class NativeEngine(Engine):
         for share, place in zip(self.shares, self._places, strict=True):
             part = State(*(x[place] for x in state))
             share.resize(self._varied, start.geom_size[place])
-            everyone = np.arange(len(part.ok))
+            everyone = np.arange(len(part.ok), dtype=np.int32)
             share.load(everyone, part, afresh=True)
             share.store(everyone, part)
         return state
@@ -165,7 +164,7 @@ class NativeEngine(Engine):
                 share,
                 State(*(x[place] for x in new)),
                 target[place],
-                np.flatnonzero(run[place]),
+                np.flatnonzero(run[place]).astype(np.int32),  # as `Batch` wants them
             )
             for share, place in zip(self.shares, self._places, strict=True)
         ]
@@ -192,8 +191,7 @@ class NativeEngine(Engine):
     def _substeps(self, share: "Share", rows: np.ndarray, goal: tuple[np.ndarray, ...]) -> None:
         torques = TORQUES[self.controller]
         for _ in range(self.substeps):
-            torque = share.control(torques, rows, goal)
-            share.step(rows, np.clip(torque, *self._limits))
+            share.step(torques, rows, goal)
 
 
 class Share:
@@ -211,6 +209,8 @@ class Share:
         # Live arrays, a row per world. What is computed is bound before the first computation.
         self._state = (batch.qpos, batch.qvel, batch.qacc_warmstart)
         self._ctrl = batch.ctrl
+        self._torque = batch.ctrl[:, self._arm]
+        self._limits = np.ascontiguousarray(model.actuator_ctrlrange[scene.arm].T)
         self._sensed = Sensed(
             q=batch.qpos[:, self._arm],
             qd=batch.qvel[:, self._arm],
@@ -257,17 +257,11 @@ class Share:
         if moved.any():
             self.batch.forward(rows[moved], stage=_VELOCITY)
 
-    def control(
+    def step(
         self, torques: Callable[..., None], rows: np.ndarray, goal: tuple[np.ndarray, ...]
-    ) -> np.ndarray:
-        """Torques [n, 7] of worlds by a controller, at the current substep."""
-        out = np.empty((len(rows), self._arm.stop - self._arm.start))
-        torques(self._sensed, self._mass_at, rows, goal, out)
-        return out
-
-    def step(self, rows: np.ndarray, torque: np.ndarray) -> None:
-        """Advances worlds one substep."""
-        self._ctrl[rows, self._arm] = torque
+    ) -> None:
+        """Advances worlds one substep under the torques of a controller."""
+        torques(self._sensed, self._mass_at, rows, goal, self._limits, self._torque)
         self.batch.step(rows, stage=_VELOCITY)
 
     def diverged(self, rows: np.ndarray) -> np.ndarray:

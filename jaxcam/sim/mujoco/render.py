@@ -11,10 +11,12 @@ import mujoco
 import numpy as np
 
 from jaxcam.sim.mujoco.machine import has_accelerator
-from jaxcam.sim.mujoco.render_inputs import Placing
-from jaxcam.sim.mujoco.render_program import Inputs, Kernel
+from jaxcam.sim.mujoco.render_inputs import Inputs, Placing, shrunk
+from jaxcam.sim.mujoco.render_program import Kernel, traced_inputs
 from jaxcam.sim.mujoco.scene import Scene
+from jaxcam.sim.painter import require_pinholes
 from jaxcam.sim.types import View
+from jaxcam.sim.world import World
 
 
 class Renderer:
@@ -29,8 +31,8 @@ class Renderer:
         shadows: Cast shadows by the key light.
         samples: Sub-pixel samples per axis; 2 smooths edges at four times the cost.
 
-    On a CPU Warp draws with one thread, and no two renderers of a process at a time: to use more
-    cores, use more processes (`jaxcam.data.pictures`).
+    It draws on CUDA, and on any machine inside the programs of the MJX engines. On a CPU Warp draws
+    with one thread, and no two renderers of a process at a time; `tracer.CpuRenderer` is faster.
     """
 
     def __init__(
@@ -58,6 +60,11 @@ class Renderer:
         return f"warp{mujoco.__version__}-{'shadows' if shadows else 'flat'}-{samples}x"
 
     @staticmethod
+    def draws(world: World) -> bool:
+        """All there is."""
+        return True
+
+    @staticmethod
     def uses_all_cores() -> bool:
         """On a GPU; on a CPU Warp draws with one thread."""
         return has_accelerator()
@@ -69,15 +76,16 @@ class Renderer:
     def traced(self, view: View) -> jax.Array:
         """`rgb` for use inside a compiled program, poses included: uint8 [B, H, W, 3]."""
         count, full = len(view.qpos), -(-len(view.qpos) // self.batch) * self.batch
-        model, base = self._kernel.model, self._kernel.data
-        inputs = self._placing.traced(
-            model, base, View(*(jnp.asarray(x, jnp.float32) for x in view))
-        )
+        require_pinholes(view)
+        view = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), view)
+        inputs = traced_inputs(self._placing, self._kernel, view)
         groups = jax.tree.map(
             lambda x: jnp.resize(x, (full, *x.shape[1:])).reshape(-1, self.batch, *x.shape[1:]),
             inputs,
         )
-        rgb = jax.lax.map(lambda group: self._shrink(self._kernel.program(group)[0]), groups)
+        rgb = jax.lax.map(
+            lambda group: shrunk(self._kernel.program(group)[0], self.samples), groups
+        )
         return rgb.reshape(full, self.height, self.width, 3)[:count]
 
     def rgb_and_depth(self, view: View) -> tuple[np.ndarray, np.ndarray]:
@@ -85,6 +93,7 @@ class Renderer:
 
         With several samples per pixel the depth is that of each pixel's upper left one.
         """
+        require_pinholes(view)
         count = len(view.qpos)
         rgb = np.empty((count, self.height, self.width, 3), np.uint8)
         depth = np.empty((count, self.height, self.width), np.float32)
@@ -92,13 +101,6 @@ class Renderer:
         for first in range(0, count, self.batch):
             rows = slice(first, min(first + self.batch, count))
             picture, planar = self._kernel(Inputs(*(x[rows] for x in inputs)))
-            rgb[rows] = self._shrink(picture)
+            rgb[rows] = shrunk(picture, self.samples)
             depth[rows] = planar[:, :: self.samples, :: self.samples]
         return rgb, depth
-
-    def _shrink(self, picture: np.ndarray) -> np.ndarray:
-        n = self.samples
-        if n == 1:
-            return picture
-        shape = (len(picture), self.height, n, self.width, n, 3)
-        return picture.reshape(shape).mean((2, 4)).round().astype(np.uint8)

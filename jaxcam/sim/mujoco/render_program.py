@@ -1,7 +1,6 @@
 """MJX's Warp ray tracer as one compiled program: poses and cameras in, pictures out."""
 
 import copy
-from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,24 +9,13 @@ import numpy as np
 from mujoco import mjx
 
 from jaxcam.sim.mujoco.machine import start_warp
+from jaxcam.sim.mujoco.render_inputs import Inputs, Placing
+from jaxcam.sim.types import View
 
 _FAR = 1e3
 """Depths (m) beyond this count as nothing hit."""
 _SKY = (0.75, 0.80, 0.85, 1.0)
 """Colour where no geom is hit."""
-
-
-class Inputs(NamedTuple):
-    """What the kernel reads of each world, float32, batch first."""
-
-    positions: Any
-    rotations: Any
-    sizes: Any
-    eye: Any
-    axes: Any
-    intrinsics: Any
-    light_positions: Any
-    light_directions: Any
 
 
 class Kernel:
@@ -98,6 +86,44 @@ class Kernel:
             inputs = Inputs(*(np.concatenate([x, np.repeat(x[-1:], short, 0)]) for x in inputs))
         rgb, depth = self.program(inputs)
         return np.asarray(rgb)[:count], np.asarray(depth)[:count]
+
+
+def traced_inputs(placing: Placing, kernel: Kernel, view: View) -> Inputs:
+    """As `Placing.on_host`, inside a compiled program, by MuJoCo Warp's kinematics.
+
+    Args:
+        placing: Of the scene.
+        kernel: That draws it; its model and data are used.
+        view: What is drawn.
+    """
+    scene, model, base = placing.scene, kernel.model, kernel.data
+    eye, axes, intrinsics = placing.cameras(view)
+    sizes = jnp.broadcast_to(model.geom_size, (len(view.qpos), *model.geom_size.shape))
+
+    def poses(qpos: jax.Array, fixtures: jax.Array) -> tuple[jax.Array, ...]:
+        data = base.replace(
+            qpos=qpos,
+            mocap_pos=base.mocap_pos.at[scene.fixtures].set(fixtures[:, :3]),
+            mocap_quat=base.mocap_quat.at[scene.fixtures].set(fixtures[:, 3:]),
+        )
+        data = mjx.kinematics(model, data)
+        body = scene.visual.light_bodyid  # lights are fixed to their bodies
+        axes = data.xmat[body]
+        at = data.xpos[body] + (axes @ model.light_pos[..., None])[..., 0]
+        return data.geom_xpos, data.geom_xmat, at, (axes @ model.light_dir[..., None])[..., 0]
+
+    with jax.default_matmul_precision("highest"):
+        positions, rotations, lights, directions = jax.vmap(poses)(view.qpos, view.fixtures)
+    return Inputs(
+        positions=positions,
+        rotations=rotations,
+        sizes=sizes.at[:, placing.varied].set(view.geom_size),
+        eye=eye,
+        axes=axes,
+        intrinsics=intrinsics,
+        light_positions=lights,
+        light_directions=directions,
+    )
 
 
 def _in_pixels(model: mujoco.MjModel, height: int, width: int) -> mujoco.MjModel:

@@ -14,6 +14,7 @@ from jaxcam.interop.cameras.files import CamerasEntries, ViewEntries, read_camer
 SCHEMA = json.loads((REPO / "docs/cameras.schema.json").read_text("utf-8"))
 EYE = np.eye(4).tolist()
 VIEW = {"K": {"fx": 60, "fy": 60, "cx": 32, "cy": 24}, "size": [64, 48], "base_from_camera": EYE}
+HAND = {"K": VIEW["K"], "size": [64, 48], "grip_from_camera": EYE}
 GOOD = (
     {"format": 1},
     {"format": 1, "views": {"a": VIEW}, "$schema": "cameras.schema.json", "about": [1, None]},
@@ -22,6 +23,8 @@ GOOD = (
     {"format": 1, "views": {"a": VIEW | {"base_from_camera": "poses/a.npz"}}},
     {"format": 1, "views": {"a": VIEW | {"lens": "fisheye", "distortion": [0, 0, 0, 0.1]}}},
     {"format": 1, "views": {"a": VIEW | {"pixel_centers": 0, "lens": None}}},
+    {"format": 1, "views": {"a": HAND}},
+    {"format": 1, "views": {"a": HAND | {"grip": {"pose": "state[0:7]", "delay_ms": -33.3}}}},
     {
         "format": 1,
         "views": {"a": {"world_from_camera": EYE}},
@@ -30,6 +33,12 @@ GOOD = (
     },
 )
 BAD = (
+    {"format": 1, "views": {"a": HAND | {"base_from_camera": EYE}}},
+    {"format": 1, "views": {"a": HAND | {"grip_from_camera": [EYE, EYE]}}},
+    {"format": 1, "views": {"a": HAND | {"grip_from_camera": "a.npy"}}},
+    {"format": 1, "views": {"a": HAND | {"grip": {"rotation": "euler"}}}},
+    {"format": 1, "views": {"a": HAND | {"grip": {"delay_ms": 1e9}}}},
+    {"format": 1, "views": {"a": HAND | {"grip": {"delay_ms": "late"}}}},
     {},
     {"format": "1"},
     {"format": 2},

@@ -23,3 +23,9 @@ def test_what_does_not_go_together_is_refused():
         tiny("paper", "late", width=17)
     with pytest.raises(ConfigError, match="did you mean 'mlp'"):
         tiny("laptop", "late", head="mpl")
+    with pytest.raises(ConfigError, match="take --preset attention or paper"):
+        tiny("laptop", "prope")
+    with pytest.raises(ConfigError, match="take --preset attention"):
+        tiny("attention", "gta", pool="keypoints")
+    with pytest.raises(ConfigError, match="width 16 over heads 4 is 4"):
+        tiny("attention", "ray_rope", heads=4)

@@ -8,6 +8,7 @@ from policy_inputs import (
     ACTION,
     CHUNK,
     CONDITIONINGS,
+    OUTSIDE_ATTENTION,
     PROPRIO,
     jit,
     make,
@@ -22,7 +23,7 @@ from policy_inputs import (
 from jaxcam.models import PolicySpec, make_policy
 
 
-@pytest.mark.parametrize("conditioning", CONDITIONINGS)
+@pytest.mark.parametrize("conditioning", OUTSIDE_ATTENTION)
 @pytest.mark.parametrize("views", [1, 2])
 def test_laptop_shapes_and_gradients(conditioning, views):
     config, batch = tiny("laptop", conditioning), make_batch(views=views)

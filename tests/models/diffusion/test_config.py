@@ -14,6 +14,7 @@ from jaxcam.errors import ConfigError
         ({"chunk": 5}, "chunk 5 is not a multiple of 2"),
         ({"channels": (8, 12)}, "not multiples of groups 8"),
         ({"sample_steps": 101}, "sample_steps must be 1 to"),
+        ({"conditioning": "prope"}, "no conditioning 'prope': that is geometry in attention"),
         ({"obs_steps": 4}, "obs_steps must be 1 to 3"),
         ({"temperature": -1.0}, "temperature must be at least 0, got -1"),
     ],

@@ -7,7 +7,7 @@ import pytest
 from policy_inputs import (
     ACTION,
     CHUNK,
-    CONDITIONINGS,
+    OUTSIDE_ATTENTION,
     jit,
     make_batch,
     moved,
@@ -20,7 +20,7 @@ from jaxcam.models.crops import window
 from jaxcam.rays import plucker
 
 
-@pytest.mark.parametrize("conditioning", CONDITIONINGS)
+@pytest.mark.parametrize("conditioning", OUTSIDE_ATTENTION)
 def test_every_conditioning_learns_and_hears_what_it_should(conditioning):
     config, batch = tiny(conditioning=conditioning), make_batch()
     policy = make(config)

@@ -17,7 +17,9 @@ TINY = replace(
     [
         ({"tokens": (0,) * 49}, "has 49 tokens; SmolVLA takes 48"),
         ({"tokens": (8,)}, "Tokens must be 0 to 7"),
-        ({"conditioning": "early"}, "no conditioning 'early', only none, token, late"),
+        ({"conditioning": "early"}, "no conditioning 'early', only none, token, late, warp, prope"),
+        ({"conditioning": "prope", "head_dim": 12}, "multiple of 8 channels; head_dim is 12"),
+        ({"conditioning": "gta", "encoder": "small", "pool": "keypoints"}, "model pool=grid"),
         ({"image_size": 33}, "not a multiple of patch 8 times shuffle 4"),
         ({"heads": 4, "kv_heads": 3}, "heads of kv_heads"),
         ({"attention": "interleaved", "layers": 3}, "come in pairs, got 3"),

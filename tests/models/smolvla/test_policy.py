@@ -65,9 +65,14 @@ def test_expert_alone_is_trained():
     assert sum(x.size for x in jax.tree.leaves(state)) == pytest.approx(2 * trained, abs=4)
 
 
-@pytest.mark.parametrize("conditioning", ["token", "late"])
-def test_conditioned_policy_looks_at_the_cameras_and_its_twin_does_not(conditioning):
-    config = replace(with_conditioning(TINY, conditioning))
+@pytest.mark.parametrize(
+    ("conditioning", "attention"),
+    [("token", "joint"), ("late", "joint"), ("warp", "joint"), ("prope", "joint"),
+     ("gta", "interleaved"), ("ray_rope", "joint"), ("ray_rope", "interleaved")],
+)  # fmt: skip
+def test_conditioned_policy_looks_at_the_cameras_and_its_twin_does_not(conditioning, attention):
+    layers = 2 if attention == "interleaved" else TINY.layers
+    config = with_conditioning(replace(TINY, attention=attention, layers=layers), conditioning)
     batch, key = make_batch(size=32), jax.random.key(1)
     subject, twin = policy(config), policy(with_conditioning(config, "none"))
     params = start(subject)

@@ -1,6 +1,7 @@
 """Boards, and why one is not in a picture."""
 
 import re
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -9,11 +10,19 @@ import pytest
 from jaxcam.config.calibrate import TagFamily
 from jaxcam.config.names import names_of
 from jaxcam.errors import ConfigError
-from jaxcam.robot.calibration.boards import Board, dictionary_of, other_family, tags_in, why_not
+from jaxcam.robot.calibration.boards import (
+    Board,
+    dictionary_of,
+    marker_sides,
+    other_family,
+    tags_in,
+    why_not,
+)
 
 SQUARE = 36
 BOARD = Board("charuco", 7, 5, 0.03, 0.021, "4x4_50")
 PLAIN = Board("chessboard", 7, 5, 0.03, 0.021, "4x4_50")
+EVEN = Board("charuco", 7, 6, 0.03, 0.021, "4x4_50")
 
 
 def shown(board):
@@ -45,6 +54,9 @@ def test_a_part_of_the_board_is_enough_but_not_a_line_of_it():
         (lambda: shown(BOARD), Board("charuco", 5, 7, 0.03, 0.021, "4x4_50"), "Count its squares"),
         (lambda: shown(BOARD), Board("charuco", 7, 5, 0.03, 0.021, "6x6_50"), "--family 4x4_50"),
         (lambda: shown(BOARD) * 0, BOARD, "^$"),
+        (lambda: shown(EVEN), replace(EVEN, kind="charuco_legacy"), "--board charuco$|charuco[.]"),
+        (lambda: shown(replace(EVEN, kind="charuco_legacy")), EVEN, "--board charuco_legacy"),
+        (lambda: shown(BOARD), replace(PLAIN, columns=9, rows=8), "it has markers"),
     ],
 )  # fmt: skip
 def test_why_a_board_is_not_there(there, asked, why):
@@ -73,3 +85,14 @@ def test_another_family_is_named():
 def test_a_board_with_more_markers_than_the_family_has():
     with pytest.raises(ConfigError, match=r"60 markers.*has 50"):
         Board("charuco", 12, 10, 0.03, 0.021, "4x4_50")
+
+
+def test_markers_of_another_size_than_was_said():
+    printed = replace(BOARD, marker=0.018)
+    for asked in (printed, BOARD):
+        view = asked.find(shown(printed))
+        if view is None:
+            assert "--marker-mm 18" in why_not(shown(printed), asked)
+        else:
+            assert marker_sides(asked, [view]) == pytest.approx(0.018, rel=0.03)
+    assert np.isnan(marker_sides(PLAIN, [PLAIN.find(shown(PLAIN))]))

@@ -194,15 +194,15 @@ def by_sight(gain, obs, call, active):
     return xp.stack([pose] * 4, 1)
 
 
-def test_a_policy_in_the_loop_is_one_program(lift, scene, renderer, start, warp):
+def test_a_policy_in_the_loop_is_one_program(lift, scene, mjx_renderer, start, warp):
     poses = sample_poses(lift.cameras, WORLDS, 0)[:, None]
-    K = np.tile(intrinsics(45, renderer.height), (WORLDS, 1, 1, 1))
+    K = np.tile(intrinsics(45, mjx_renderer.height), (WORLDS, 1, 1, 1))
     alive, done, ticks = np.array([True, True, False]), [], []
     for engine in (NativeEngine(scene, varied=lift.varied), warp["osc_pose"]):
         act = Partial(by_sight, np.float32(0.05))
         agent, episodes = Agent(act, "eef_delta", 2), Episodes(start, K, poses, alive)
         done.append(
-            rollout(agent, ShortLift(), engine, renderer, episodes, lambda: ticks.append(0))
+            rollout(agent, ShortLift(), engine, mjx_renderer, episodes, lambda: ticks.append(0))
         )
     native, mjx = done
     assert native.qpos.shape == mjx.qpos.shape == (4, WORLDS, scene.physics.nq)

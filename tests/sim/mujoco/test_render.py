@@ -1,4 +1,4 @@
-"""Pictures and depths against geometry: rays cast by MuJoCo's C library, planes and faces."""
+"""Pictures and depths of both ray tracers against geometry: MuJoCo's rays, planes and faces."""
 
 import mujoco
 import numpy as np
@@ -8,6 +8,7 @@ from jaxcam.rays import Camera, sample_poses, spherical
 from jaxcam.rays.rotations import matrix_from_quaternion
 from jaxcam.sim.mujoco.render import Renderer
 from jaxcam.sim.mujoco.table import TABLE_TOP
+from jaxcam.sim.mujoco.tracer.painter import CpuRenderer
 from jaxcam.sim.task import starts
 from jaxcam.sim.types import View
 
@@ -28,7 +29,7 @@ def make_view(lift, scene, count=COUNT, height=HEIGHT, width=WIDTH, seed=3):
 
 
 def one(view, i):
-    return View(*(x[[i]] for x in view))
+    return View(*(x[[i]] for x in view[:5]))
 
 
 def cast(scene, lift, view, i, camera):
@@ -64,10 +65,15 @@ def on_box(points, pose, half):
     return (abs(local) - half).max(-1)
 
 
+@pytest.fixture(scope="module", params=[Renderer, CpuRenderer])
+def kind(request):
+    return request.param
+
+
 @pytest.fixture(scope="module", params=["randomized", "fixed"])
-def drawn(request, lift, scenes):
+def drawn(request, kind, lift, scenes):
     scene = scenes[request.param]
-    renderer = Renderer(scene, HEIGHT, WIDTH, varied=lift.varied, batch=4)
+    renderer = kind(scene, HEIGHT, WIDTH, varied=lift.varied, batch=4)
     view = make_view(lift, scene)
     if request.param == "fixed":  # the table may be moved there too
         view.fixtures[:, 0, :2] = np.random.default_rng(0).uniform(-0.2, 0.2, (COUNT, 2))
@@ -108,9 +114,9 @@ def test_a_view_alone_equals_the_same_view_in_a_batch(drawn):
         np.testing.assert_array_equal(planar[0], depth[i])
 
 
-def test_batch_width_changes_nothing(lift, drawn):
+def test_batch_width_changes_nothing(kind, lift, drawn):
     scene, _, view, rgb, _ = drawn
-    other = Renderer(scene, HEIGHT, WIDTH, varied=lift.varied, batch=1)
+    other = kind(scene, HEIGHT, WIDTH, varied=lift.varied, batch=1)
     np.testing.assert_array_equal(other.rgb(view), rgb)
 
 
@@ -123,9 +129,9 @@ def test_pictures_are_bytes_and_not_blown_out(drawn):
     assert (rgb.reshape(COUNT, -1).std(1) > 10).all()
 
 
-def test_the_green_cube_is_where_the_camera_projects_it(lift, scene):
+def test_the_green_cube_is_where_the_camera_projects_it(kind, lift, scene):
     size = 64
-    renderer = Renderer(scene, size, varied=lift.varied, batch=4)
+    renderer = kind(scene, size, varied=lift.varied, batch=4)
     view = make_view(lift, scene, 12, size, size, seed=8)
     rgb = renderer.rgb(view).astype(int)
     checked = 0
@@ -142,7 +148,7 @@ def test_the_green_cube_is_where_the_camera_projects_it(lift, scene):
     assert checked >= 6
 
 
-def test_up_in_the_world_is_up_in_the_picture(lift, scene):
+def test_up_in_the_world_is_up_in_the_picture(kind, lift, scene):
     """The sky, above the horizon, fills the first rows of a level camera's picture."""
     start = starts(lift, scene, [0])
     pose = sample_poses(lift.cameras, 1, 0)
@@ -152,7 +158,7 @@ def test_up_in_the_world_is_up_in_the_picture(lift, scene):
     level = np.eye(4)
     level[:3, :3] = np.array([[0, 1, 0], [0, 0, -1], [-1, 0, 0]]).T
     level[:3, 3] = 1.2, 0.9, 1.1
-    renderer = Renderer(scene, HEIGHT, WIDTH, varied=lift.varied, batch=1)
+    renderer = kind(scene, HEIGHT, WIDTH, varied=lift.varied, batch=1)
     K = np.array([[[30.0, 0, WIDTH / 2], [0, 30, HEIGHT / 2], [0, 0, 1]]])
     rgb, depth = renderer.rgb_and_depth(View(*start, K, level[None]))
     assert np.isinf(depth[0, 0]).all()
@@ -160,12 +166,11 @@ def test_up_in_the_world_is_up_in_the_picture(lift, scene):
     assert (rgb[0, 0] == rgb[0, 0, 0]).all()
 
 
-def test_supersampling_smooths_and_keeps_the_picture(lift, scene):
+def test_supersampling_smooths_and_keeps_the_picture(kind, lift, scene):
     view = make_view(lift, scene, 2)
     plain, smooth = (
-        Renderer(scene, HEIGHT, WIDTH, varied=lift.varied, batch=2, samples=n).rgb(view)
-        for n in (1, 2)
+        kind(scene, HEIGHT, WIDTH, varied=lift.varied, batch=2, samples=n).rgb(view) for n in (1, 2)
     )
     assert smooth.shape == plain.shape
     assert abs(plain.astype(int) - smooth).mean() < 6
-    assert Renderer.look(samples=2) != Renderer.look()
+    assert kind.look(samples=2) != kind.look()

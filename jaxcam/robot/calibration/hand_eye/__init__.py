@@ -1,1 +1,1 @@
-"""Hand and eye: where a camera stands, from a tag on the hand and the grip's poses."""
+"""Hand and eye: where a camera is, from a tag or board and the grip's poses, by either mount."""

@@ -1,13 +1,16 @@
-"""Where a camera stands that sees a tag on the hand, and where the tag sits there.
+"""Where a camera is, and a tag or a board, one of which the hand carries.
 
-With B_i the grip in the base frame, C_i the tag before the camera, X the camera in the base frame
-and Z the tag on the grip: B_i Z = X C_i. A linear solution (Shah 2013, by the Kronecker product;
-OpenCV 5 has no such solver) of a few pictures at a time begins, since each C_i of a square has two
-candidates; that which explains most pictures is refined on the pixels of all.
+With M_i the pose, in the frame that the camera is fixed to (its mount), of what the tag is fixed to
+(its holder), C_i the tag before the camera, X the camera on its mount and Z the tag on its holder:
+M_i Z = X C_i. Of a camera that stands, the mount is the base and the holder the grip; of a camera
+on the hand it is the other way round. A linear solution (Shah 2013, by the Kronecker product;
+OpenCV 5 has no such solver) of a few pictures at a time begins, since each C_i of a small square
+has two candidates; that which explains most pictures is refined on the pixels of all.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -17,8 +20,7 @@ from jaxcam.interop.cameras.optics import Optics
 from jaxcam.rays.rotations import nearest_rotation
 from jaxcam.robot.calibration.fitting import PIXEL, WEIGHT, Fitted, fit_pixels, numeric_jacobian
 from jaxcam.robot.calibration.projection import moved, pixels_of, placed, pose_of, spread_of
-from jaxcam.robot.calibration.tags.fit import tag_poses
-from jaxcam.robot.calibration.tags.places import square
+from jaxcam.robot.calibration.tags.fit import flat_poses
 
 TRIALS = 80
 """Few pictures that are tried at a time."""
@@ -31,22 +33,38 @@ ENOUGH = 6
 """Pictures that are needed."""
 
 
+Also = Literal["", "delay", "scale"]
+"""One more unknown: by how many steps states are late, or how many times larger the target is."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A tag or a board in a picture."""
+
+    points: np.ndarray
+    """Its corners in its own axes, [m, 3] (m), all z zero."""
+    pixels: np.ndarray
+    """Where they are, [m, 2], ours."""
+
+
 @dataclass(frozen=True)
 class HandEyeFit:
-    """A camera, and a tag on the hand."""
+    """A camera, and a tag or a board: one on the hand, one that stands."""
 
-    base_from_camera: np.ndarray
-    """[4, 4], OpenCV axes."""
-    grip_from_tag: np.ndarray
-    """[4, 4]; the tag's axes: x right, y up, z out."""
+    mount_from_camera: np.ndarray
+    """[4, 4], OpenCV axes; base from camera, or grip from camera."""
+    holder_from_target: np.ndarray
+    """[4, 4]; a tag's axes: x right, y up, z out; a board's: x right, y down, z into it."""
     covariance: np.ndarray = field(repr=False)
-    """Of small motions of both in their own axes, [12, 12]."""
-    residuals: np.ndarray = field(repr=False)
-    """The fit less what was seen, [pictures, 4, 2] (pixels)."""
-    used: np.ndarray = field(repr=False)
-    """Which corners count, bool [pictures, 4]."""
+    """Of small motions of both in their own axes, and of the other unknown, [12, 12] or [13, 13]"""
+    residuals: tuple[np.ndarray, ...] = field(repr=False)
+    """The fit less what was seen, [m, 2] of each picture (pixels)."""
+    used: tuple[np.ndarray, ...] = field(repr=False)
+    """Which corners count, bool [m] of each picture."""
     rms: float
     """Root mean square of the distances of those that count (pixels)."""
+    also: float = 0.0
+    """The other unknown; the delay where nothing else is."""
 
     @property
     def spread(self) -> tuple[float, float]:
@@ -54,78 +72,120 @@ class HandEyeFit:
         return spread_of(self.covariance[:6, :6])
 
     @property
-    def tag_spread(self) -> tuple[float, float]:
-        """Likewise of the tag on the hand."""
-        return spread_of(self.covariance[6:, 6:])
+    def target_spread(self) -> tuple[float, float]:
+        """Likewise of the tag or the board."""
+        return spread_of(self.covariance[6:12, 6:12])
+
+    @property
+    def share(self) -> float:
+        """How many corners count, of all."""
+        return float(np.concatenate(self.used).mean())
+
+    @property
+    def median(self) -> float:
+        """Half of all corners are farther off (pixels)."""
+        return _median(np.concatenate(self.residuals))
 
 
 def fit_hand_eye(
-    base_from_grip: np.ndarray, corners: np.ndarray, size: float, optics: Optics
+    mount_from_holder: np.ndarray, sights: Sequence[Seen], optics: Optics, delay: float = 0.0
 ) -> HandEyeFit:
-    """Finds the camera and the tag.
+    """Finds the camera and the tag or board.
 
     Args:
-        base_from_grip: Poses of the grip in each picture, [n, 4, 4].
-        corners: Of the tag there, [n, 4, 2] (pixels, ours), from the upper left one clockwise.
-        size: Side of the tag (m).
+        mount_from_holder: In each picture, what carries the one in the frame of what carries the
+            other, [n, 4, 4]: base from grip if the camera stands, grip from base if it is on the
+            hand.
+        sights: The tag or board there.
         optics: How the camera sees.
+        delay: Steps by which states were taken to be late, for the record.
 
     Raises:
         DatasetError: There are too few pictures, or the hand does not turn about two axes.
     """
-    if len(corners) < ENOUGH:
+    if len(sights) < ENOUGH:
         raise DatasetError(
-            f"{len(corners)} pictures with the tag and different poses; at least {ENOUGH} are "
+            f"{len(sights)} pictures with the target and different poses; at least {ENOUGH} are "
             "needed, 15 are good."
         )
-    check_motions(base_from_grip)
-    points = square(size)
-    starts = _starts(base_from_grip, corners, size, optics)
+    check_motions(mount_from_holder)
+    starts = _starts(mount_from_holder, sights, optics)
     if not starts:
-        raise DatasetError("No pose of the camera explains the tag in any few pictures.")
+        raise DatasetError("No pose of the camera explains the target in any few pictures.")
+    fits = [
+        refine(lambda _: mount_from_holder, sights, optics, start, near=delay) for start in starts
+    ]
+    return min(fits, key=lambda fit: fit.median)
 
-    def residuals(start: tuple[np.ndarray, np.ndarray], x: np.ndarray) -> np.ndarray:
-        camera, tag = moved(start[0], x[:6]), moved(start[1], x[6:])
-        return (_pixels(camera, tag, base_from_grip, points, optics) - corners).reshape(-1, 2)
 
-    best: tuple[tuple[np.ndarray, np.ndarray], Fitted] | None = None
-    for start in starts:
-        fitted = fit_pixels(lambda x, start=start: residuals(start, x), np.zeros(12))
-        if best is None or _median(fitted.residuals) < _median(best[1].residuals):
-            best = start, fitted
-    assert best is not None
-    start, fitted = best
-    shape = corners.shape[:2]
+def refine(
+    mount_from_holder: Callable[[float], np.ndarray],
+    sights: Sequence[Seen],
+    optics: Optics,
+    start: tuple[np.ndarray, np.ndarray],
+    also: Also = "",
+    near: float = 0.0,
+) -> HandEyeFit:
+    """Fits both poses, and perhaps one more unknown, to the pixels of all pictures.
+
+    Args:
+        mount_from_holder: By how many steps states are late, see `fit_hand_eye`, [n, 4, 4].
+        sights: The tag or board.
+        optics: How the camera sees.
+        start: The camera and the target, roughly.
+        also: The other unknown.
+        near: Where the delay is, roughly; the value that it has if it is not unknown.
+    """
+    points = np.concatenate([s.points for s in sights])
+    pixels = np.concatenate([s.pixels for s in sights])
+    counts = [len(s.pixels) for s in sights]
+    picture = np.repeat(np.arange(len(sights)), counts)
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        camera, target = moved(start[0], x[:6]), moved(start[1], x[6:12])
+        poses = mount_from_holder(near + (x[12] if also == "delay" else 0.0))
+        poses = np.linalg.inv(camera) @ poses @ target
+        places = points * (1 + x[12]) if also == "scale" else points
+        return pixels_of(placed(poses[picture], places[:, None])[:, 0], optics) - pixels
+
+    fitted = fit_pixels(residuals, np.zeros(13 if also else 12))
+    ends = np.cumsum(counts)[:-1]
+    slopes = numeric_jacobian(residuals, fitted.values)
     return HandEyeFit(
         moved(start[0], fitted.values[:6]),
-        moved(start[1], fitted.values[6:]),
-        _covariance(
-            numeric_jacobian(lambda x: residuals(start, x), fitted.values), fitted, len(corners)
-        ),
-        fitted.residuals.reshape(*shape, 2),
-        fitted.used.reshape(shape),
+        moved(start[1], fitted.values[6:12]),
+        _covariance(slopes, fitted, picture),
+        tuple(np.split(fitted.residuals, ends)),
+        tuple(np.split(fitted.used, ends)),
         fitted.rms,
+        float(fitted.values[12]) + (near if also == "delay" else 1.0) if also else near,
     )
 
 
-def _covariance(slopes: np.ndarray, fitted: Fitted, count: int) -> np.ndarray:
-    """Of both poses, [12, 12], where what a picture's corners have in common is one error.
+def _covariance(slopes: np.ndarray, fitted: Fitted, picture: np.ndarray) -> np.ndarray:
+    """Of all unknowns, where what a picture's corners have in common is one error.
 
-    A grip's pose that is half a millimetre off moves all four corners: they are not four witnesses.
+    A grip's pose that is half a millimetre off moves all corners: they are not so many witnesses.
     """
-    used = fitted.used.reshape(count, 4, 1)
-    residuals = np.where(used, fitted.residuals.reshape(count, 4, 2), 0)
-    J = np.where(used[..., None], slopes.reshape(count, 4, 2, 12), 0)
-    each = np.maximum(used.sum(1), 1)
-    common = residuals.sum(1) / each
-    pictures = int(used.any((1, 2)).sum())
-    own = float(((residuals - np.where(used, common[:, None], 0)) ** 2).sum())
-    own = max(own / max(6 * pictures, 1), PIXEL**2 / WEIGHT)
-    shared = float((common**2).sum()) / max(2 * pictures - 12, 2)
-    shared = max(shared - own / 4, 0.0)
-    inverse = np.linalg.pinv(np.einsum("nkip,nkiq->pq", J, J), rcond=1e-14, hermitian=True)
-    middle = own * np.einsum("nkip,nkiq->pq", J, J)
-    middle = middle + shared * np.einsum("nip,niq->pq", J.sum(1), J.sum(1))
+    count, unknowns = int(picture.max()) + 1, slopes.shape[-1]
+    used = fitted.used[:, None]
+    residuals, J = np.where(used, fitted.residuals, 0), np.where(used[..., None], slopes, 0)
+    each, common, J_sum = np.zeros((count, 1)), np.zeros((count, 2)), np.zeros((count, 2, unknowns))
+    np.add.at(each, picture, used.astype(float))
+    np.add.at(common, picture, residuals)
+    np.add.at(J_sum, picture, J)
+    common /= np.maximum(each, 1)
+    pictures = int((each > 0).sum())
+    own = float((np.where(used, residuals - common[picture], 0) ** 2).sum())
+    own /= max(2 * (float(each.sum()) - pictures), 1)
+    own = max(own, PIXEL**2 / WEIGHT)
+    shared = float((common**2).sum()) / max(2 * pictures - unknowns, 2)
+    shared = max(shared - own / max(float(np.median(each[each > 0])), 1), 0.0)
+    normal = np.einsum("nip,niq->pq", J, J)
+    scale = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-12))
+    inverse = np.linalg.pinv(normal * np.outer(scale, scale), rcond=1e-14, hermitian=True)
+    inverse = inverse * np.outer(scale, scale)
+    middle = own * normal + shared * np.einsum("nip,niq->pq", J_sum, J_sum)
     return inverse @ middle @ inverse
 
 
@@ -184,64 +244,70 @@ def _median(residuals: np.ndarray) -> float:
     return float(np.median(np.linalg.norm(residuals, axis=-1)))
 
 
-def _pixels(
-    camera: np.ndarray, tag: np.ndarray, grips: np.ndarray, points: np.ndarray, optics: Optics
-) -> np.ndarray:
-    """Pixels of the tag's corners in each picture, [n, 4, 2]."""
-    return pixels_of(placed(np.linalg.inv(camera) @ grips @ tag, points), optics)
-
-
 def _starts(
-    grips: np.ndarray, corners: np.ndarray, size: float, optics: Optics
+    poses: np.ndarray, sights: Sequence[Seen], optics: Optics
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The camera and the tag, roughly: the best three of those that few pictures give."""
-    candidates = [tag_poses(some, size, optics) for some in corners]
+    """The camera and the target, roughly: the best three of those that few pictures give."""
+    candidates = [flat_poses(s.points, s.pixels, optics) for s in sights]
     usable = np.array([i for i, some in enumerate(candidates) if some])
     if len(usable) < FEW:
         return []
-    rng, ranked, points = np.random.default_rng(0), [], square(size)
+    rng, ranked = np.random.default_rng(0), []
     for trial in range(TRIALS):
         few = rng.choice(usable, FEW if trial else min(len(usable), 12), replace=False)
-        tags = np.stack([
+        targets = np.stack([
             candidates[i][int(rng.random() < 0.3) if trial and len(candidates[i]) > 1 else 0]
             for i in few
         ])  # fmt: skip
-        camera, tag = solve_linear(grips[few], tags)
-        if not np.isfinite([camera, tag]).all():
+        camera, target = solve_linear(poses[few], targets)
+        if not np.isfinite([camera, target]).all():
             continue
-        off = np.linalg.norm(_pixels(camera, tag, grips, points, optics) - corners, axis=-1)
-        ranked.append((float(np.median(off)), trial, (camera, tag)))
+        ranked.append((off_by(poses, sights, optics, (camera, target)), trial, (camera, target)))
     return [both for _, _, both in sorted(ranked, key=lambda one: one[:2])[:3]]
 
 
+def off_by(
+    mount_from_holder: np.ndarray,
+    sights: Sequence[Seen],
+    optics: Optics,
+    both: tuple[np.ndarray, np.ndarray],
+) -> float:
+    """By how much (pixels) half of all corners are off at least, for a camera and a target."""
+    there = np.linalg.inv(both[0]) @ mount_from_holder @ both[1]
+    picture = np.repeat(np.arange(len(sights)), [len(s.points) for s in sights])
+    points = np.concatenate([s.points for s in sights])
+    pixels = pixels_of(placed(there[picture], points[:, None])[:, 0], optics)
+    return _median(pixels - np.concatenate([s.pixels for s in sights]))
+
+
 def solve_linear(
-    base_from_grip: np.ndarray, camera_from_tag: np.ndarray
+    mount_from_holder: np.ndarray, camera_from_target: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The camera X and the tag Z with B_i Z = X C_i, as far as there are such: least squares.
+    """The camera X and the target Z with M_i Z = X C_i, as far as there are such: least squares.
 
     Shah, "Solving the robot-world/hand-eye calibration problem using the Kronecker product",
     Journal of Mechanisms and Robotics 5(3), 2013.
 
     Args:
-        base_from_grip: B_i, [n, 4, 4], n at least 3.
-        camera_from_tag: C_i, [n, 4, 4].
+        mount_from_holder: M_i, [n, 4, 4], n at least 3.
+        camera_from_target: C_i, [n, 4, 4].
 
     Returns:
-        Base from camera and grip from tag, [4, 4] each.
+        Mount from camera and holder from target, [4, 4] each.
     """
-    B, C = base_from_grip[:, :3, :3], camera_from_tag[:, :3, :3]
-    # Row by row, vec(B Z) = (B ⊗ 1) vec(Z) and vec(X C) = (1 ⊗ Cᵀ) vec(X).
+    M, C = mount_from_holder[:, :3, :3], camera_from_target[:, :3, :3]
+    # Row by row, vec(M Z) = (M ⊗ 1) vec(Z) and vec(X C) = (1 ⊗ Cᵀ) vec(X).
     one = np.eye(3)
     rows = [
-        np.concatenate([np.kron(b, one), -np.kron(one, c.T)], 1) for b, c in zip(B, C, strict=True)
+        np.concatenate([np.kron(m, one), -np.kron(one, c.T)], 1) for m, c in zip(M, C, strict=True)
     ]
     both = np.linalg.svd(np.concatenate(rows))[2][-1]
     Z, X = both[:9].reshape(3, 3), both[9:].reshape(3, 3)
     sign = np.sign(np.linalg.det(X)) or 1.0
     Z, X = np.asarray(nearest_rotation(sign * Z)), np.asarray(nearest_rotation(sign * X))
-    n = len(B)
-    left = np.concatenate([B, -np.tile(one, (n, 1, 1))], -1).reshape(-1, 6)
-    right = camera_from_tag[:, :3, 3] @ X.T - base_from_grip[:, :3, 3]
+    n = len(M)
+    left = np.concatenate([M, -np.tile(one, (n, 1, 1))], -1).reshape(-1, 6)
+    right = camera_from_target[:, :3, 3] @ X.T - mount_from_holder[:, :3, 3]
     places = np.linalg.lstsq(left, right.ravel(), rcond=None)[0]
     return pose_of(X, places[3:]), pose_of(Z, places[:3])
 

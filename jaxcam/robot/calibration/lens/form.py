@@ -1,5 +1,6 @@
 """`calibrate lens`: from pictures of a board to K and lens in the file of calibrations."""
 
+import hashlib
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -9,7 +10,7 @@ from jaxcam.config.calibrate import LensConfig
 from jaxcam.errors import DatasetError
 from jaxcam.files.paths import absolute
 from jaxcam.interop.cameras.writing import Changes, check_updatable, optics_json, update_cameras
-from jaxcam.robot.calibration.boards import Board, BoardSeen, why_not
+from jaxcam.robot.calibration.boards import Board, BoardSeen, marker_sides, why_not
 from jaxcam.robot.calibration.figures import coverage_figure, residual_figure, space_figure
 from jaxcam.robot.calibration.lens.coverage import missing_places, missing_tilts, most_different
 from jaxcam.robot.calibration.lens.faults import fit_checked
@@ -26,6 +27,11 @@ from jaxcam.robot.calibration.pictures import NamedPicture, read_pictures
 
 LEAST = 6
 """Pictures with the board that are needed."""
+MARKER = 0.06
+"""Share by which markers may look larger or smaller than they are said to be."""
+LOST = 4.0
+"""Two standard deviations of the rays of most of the picture (pixels at VGA) from when on nothing
+is written."""
 GOOD, FAIR = 0.5, 2.0
 """Two standard deviations of the worst ray (pixels at VGA) of a good lens, and of a usable one."""
 UNKNOWN = 0.02
@@ -63,6 +69,7 @@ def calibrate_lens(config: LensConfig, console: Console) -> None:
     coefficients = 4 if config.lens == "fisheye" else config.coefficients
     with console.status("calibrating"):
         fit, left_out = fit_checked(board, views, pictures[0].size, config.lens, coefficients)
+    notes += _markers(board, fit)
     names = {view.name for view in fit.views}
     pictures = [p for p in pictures if p.name in names]
     notes += left_out + _advice(fit)
@@ -92,8 +99,14 @@ def find_boards(
     Raises:
         DatasetError: Too few show it; the message says which, and why if that can be seen.
     """
-    there, views, without, reasons = [], [], [], []
+    there, views, without, reasons, copies = [], [], [], [], []
+    known: dict[bytes, str] = {}
     for picture in pictures:
+        seal = hashlib.sha256(picture.rgb.tobytes()).digest()
+        if seal in known:
+            copies.append(f"{picture.name} (of {known[seal]})")
+            continue
+        known[seal] = picture.name
         view = board.find(picture.grey, picture.name)
         if view is not None:
             there.append(picture)
@@ -103,8 +116,10 @@ def find_boards(
         if len(reasons) < 3 and (reason := why_not(picture.grey, board)):
             reasons.append(f"in {picture.name} {reason}")
     named = ", ".join(without[:6]) + (f" and {len(without) - 6} more" if len(without) > 6 else "")
+    twice = f"Copies do not count: {', '.join(copies[:4])}{' …' * (len(copies) > 4)}."
     if len(views) < LEAST:
         why = f" {reasons[0][0].upper()}{reasons[0][1:]}." if reasons else ""
+        why += f" {twice}" if copies else ""
         raise DatasetError(
             f"{len(views)} of {len(views) + len(without)} pictures show the board ({board.words}); "
             f"at least {LEAST} are needed, 20 are good. Not in {named or 'any other'}.{why} "
@@ -112,6 +127,7 @@ def find_boards(
             "board's white margin; a plain chessboard must be seen whole."
         )
     notes = [f"No board in {len(without)} pictures: {named}."] if without else []
+    notes += [twice] if copies else []
     return there, views, notes
 
 
@@ -130,16 +146,30 @@ def _advice(fit: LensFit) -> list[str]:
     return notes
 
 
+def _markers(board: Board, fit: LensFit) -> list[str]:
+    """That markers look larger or smaller than was said."""
+    side = marker_sides(board, fit.views)
+    if not abs(side / board.marker - 1) > MARKER:  # also where there is none
+        return []
+    return [
+        f"Markers look {1000 * side:.1f} mm large beside squares of {1000 * board.square:g} mm, "
+        f"not {1000 * board.marker:g}: measure both (--square-mm, --marker-mm). K and the lens "
+        "do not depend on it, poses found with this board do."
+    ]
+
+
 def _require_known(fit: LensFit) -> None:
     share = max(fit.sigmas[0] / fit.optics.K[0, 0], fit.sigmas[1] / fit.optics.K[1, 1])
     centre = max(fit.sigmas[2:4]) / fit.optics.width
-    if share > UNKNOWN or centre > UNKNOWN:
+    rays = 2 * float(np.nanmedian(fit.rays))
+    if share > UNKNOWN or centre > UNKNOWN or rays > LOST * max(fit.optics.width / 640, 0.5):
         missing = missing_tilts(fit.boards)
         tilts = f"with its {', with its '.join(missing)}" if missing else "more strongly tilted"
         raise DatasetError(
             f"These pictures do not tell the lens: the focal length is sure to {share:.1%} and the "
-            f"centre to {centre:.1%} of the width; expected below {UNKNOWN:.0%}. Likely cause: the "
-            f"board is parallel to the picture, or the same, in all of them. Take pictures "
+            f"centre to {centre:.1%} of the width (expected below {UNKNOWN:.0%}), rays to "
+            f"{rays:.1f} pixels. Likely cause: the board is parallel to the picture, or the same, "
+            f"in all of them. Take pictures "
             f"{tilts}, by 30 degrees or more, near and far."
         )
 

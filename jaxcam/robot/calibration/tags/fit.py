@@ -157,29 +157,33 @@ def _best(numbers: tuple[int, ...], sight: TagCorners, tags: Tags, optics: Optic
     return _Best(numbers, points, pixels, poses[first], fits[first][1], others)
 
 
-def tag_poses(corners: np.ndarray, size: float, optics: Optics) -> list[np.ndarray]:
-    """The two poses of a square that explain its picture, the better one first.
+def flat_poses(points: np.ndarray, pixels: np.ndarray, optics: Optics) -> list[np.ndarray]:
+    """The two poses of something flat that explain its picture, the better one first.
 
     Args:
-        corners: Pixels [4, 2], from the upper left one clockwise.
-        size: Side (m).
+        points: In its own axes, [m, 3], all z zero; of a tag, the corners of `square`.
+        pixels: Where they are, [m, 2].
         optics: How the camera sees.
 
     Returns:
-        Camera from tag, [4, 4] each.
+        Camera from it, [4, 4] each.
     """
-    rays = straightened(corners, optics)
+    rays = straightened(pixels, optics)
     if not np.isfinite(rays).all():
         return []
+    is_tag = len(points) == 4
+    middle = points.mean(0)
     try:
         _, turns, places, _ = cv2.solvePnPGeneric(
-            square(size), rays, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE
-        )
+            points - middle, rays, np.eye(3), None,
+            flags=cv2.SOLVEPNP_IPPE_SQUARE if is_tag else cv2.SOLVEPNP_IPPE,
+        )  # fmt: skip
     except cv2.error:
         return []
+    rotations = [cv2.Rodrigues(turn)[0] for turn in turns]
     poses = [
-        pose_of(cv2.Rodrigues(turn)[0], place[:, 0])
-        for turn, place in zip(turns, places, strict=True)
+        pose_of(rotation, place[:, 0] - rotation @ middle)
+        for rotation, place in zip(rotations, places, strict=True)
     ]
     return [pose for pose in poses if np.isfinite(pose).all()]
 
@@ -196,7 +200,7 @@ def _starts(
     starts = []
     for number in numbers:
         base_from_tag = frame_of(tags.corners[number])
-        poses = tag_poses(sight[number], tags.sizes[number], optics)
+        poses = flat_poses(square(tags.sizes[number]), sight[number], optics)
         starts += [base_from_tag @ np.linalg.inv(camera_from_tag) for camera_from_tag in poses]
     if len(numbers) > 1:
         rays = straightened(pixels, optics)

@@ -95,7 +95,7 @@ def tag_sights(
         else:
             without.append(picture.name)
     if shown is None:
-        why = _why_none(first, family, others, numbers) if first else ""
+        why = why_no_tag(first, family, others, numbers) if first else ""
         listed = ", ".join(without[:5]) + (" …" if len(without) > 5 else "")
         raise DatasetError(
             f"{where}: no tag {_list(numbers)} of the family {family} in {count} pictures "
@@ -109,7 +109,15 @@ def _list(numbers: Iterable[int]) -> str:
     return ", ".join(map(str, ordered[:8])) + (" …" if len(ordered) > 8 else "")
 
 
-def _why_none(picture: NamedPicture, family: TagFamily, others: set[int], known: set[int]) -> str:
+def why_no_tag(picture: NamedPicture, family: TagFamily, others: set[int], known: set[int]) -> str:
+    """Why no known tag is in a picture, as far as one can say; empty if nothing else is there.
+
+    Args:
+        picture: The picture.
+        family: The family that was looked for.
+        others: Numbers of it that are in the pictures.
+        known: Numbers that count.
+    """
     if others:
         return (
             f"Other tags are there: {_list(others)}; known are {_list(known)}. Were others put up, "
@@ -152,7 +160,8 @@ def standing(sights: TagSights, size: tuple[int, int], where: str) -> tuple[TagS
             f"{where}: the camera moved, or these are pictures of two cameras: tags are up to "
             f"{most:.1f} pixels elsewhere in {len(names)} of {len(off)} pictures, from "
             f"{sights.names[change]} on. Calibrate each place with its own pictures; tags on "
-            "things that move do not count as known places."
+            "things that move do not count as known places. A camera on the hand is for "
+            "calibrate hand-eye --mount grip."
         )
     kept = [i for i in range(len(off)) if not away[i]]
     still = TagSights(

@@ -65,15 +65,27 @@ def test_another_board_than_the_one_that_is_named(place, capsys, flags, match):
     assert not (place / "cameras.json").exists()
 
 
-def test_the_same_picture_again_and_again_does_not_tell_the_lens(place, capsys):
-    first = (place / "pictures/0.png").read_bytes()
-    for file in (place / "pictures").iterdir():
-        file.write_bytes(first)
+def test_the_same_view_again_and_again_does_not_tell_the_lens(place, pictures, capsys):
+    rng = np.random.default_rng(0)
+    for i in range(9):
+        noise = rng.normal(0, 2, pictures[0].shape)
+        again = np.clip(pictures[0] + noise, 0, 255).astype(np.uint8)
+        cv2.imwrite(str(place / f"pictures/{i}.png"), again)
     assert exit_code("calibrate", "lens", "pictures", "--view", "front", *SHAPE) == 3
     words = " ".join(capsys.readouterr().err.replace("│", " ").split())
     assert "do not tell the lens" in words
     assert "by 30 degrees" in words
     assert not (place / "cameras.json").exists()
+
+
+def test_copies_of_a_picture_count_once(place, capsys):
+    first = (place / "pictures/0.png").read_bytes()
+    for file in (place / "pictures").iterdir():
+        file.write_bytes(first)
+    assert exit_code("calibrate", "lens", "pictures", "--view", "front", *SHAPE) == 3
+    words = " ".join(capsys.readouterr().err.replace("│", " ").split())
+    assert "1 of 1 pictures show the board" in words
+    assert "Copies do not count: 1.png (of 0.png)" in words
 
 
 def test_printing(place, capsys):

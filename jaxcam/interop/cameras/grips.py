@@ -1,18 +1,17 @@
-"""Poses of the grip, from the state of a recorded dataset."""
+"""Poses of the grip, from a robot's state: which numbers of it they are, and at which moment."""
 
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
-from jaxcam.config.calibrate import RotationForm
-from jaxcam.data.recorded.parts import meaning_of
-from jaxcam.data.recorded.recording import Recording
+from jaxcam.config.calibrate import MOST_DELAY, RotationForm
+from jaxcam.config.fields import check_least, check_most, check_types
+from jaxcam.data.recorded.parts import grip_named
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.rays.rotations import matrix_from_quaternion
-from jaxcam.robot.calibration.projection import pose_of
 
 COUNTS: Mapping[RotationForm, int] = {
     "rotvec": 3, "quaternion_wxyz": 4, "quaternion_xyzw": 4, "euler_xyz": 3,
@@ -37,59 +36,76 @@ class GripNumbers:
     form: RotationForm
 
 
-def grip_numbers(recording: Recording, text: str, form: RotationForm) -> GripNumbers:
+@dataclass(frozen=True)
+class GripEntries:
+    """Entries that say which numbers of a state are the grip's pose."""
+
+    pose: str = ""
+    """Such as `observation.state[0:6]`: position (m), then rotation; by their names when empty."""
+    rotation: RotationForm = "by_names"
+    """How its rotation is written."""
+    delay_ms: float = 0.0
+    """By how much a state is later than its picture: positive where states show what pictures
+    showed before."""
+
+    def __post_init__(self) -> None:
+        check_types(self, "grip: ")
+        check_least(self, -MOST_DELAY, "delay_ms")
+        check_most(self, MOST_DELAY, "delay_ms")
+
+
+def grip_numbers(names: Sequence[str], entries: GripEntries, where: str = "") -> GripNumbers:
     """Which columns are the grip's pose, by a setting or by their names.
 
     Args:
-        recording: The dataset.
-        text: Such as "observation.state[0:6]"; by names when empty.
-        form: How the rotation is written.
+        names: Of the state's numbers.
+        entries: What is said of them.
+        where: Who says it, for messages; flags of the command when empty.
 
     Raises:
         ConfigError: Neither says, or the setting names other numbers of columns than the form has.
     """
-    names = recording.state_names
+    flags = ("--grip-pose", "--rotation") if not where else (f"{where}: pose", f"{where}: rotation")
+    text, form = entries.pose, entries.rotation
     if not text:
-        return _by_names(recording, form)
+        return _by_names(names, form, flags)
     match = re.fullmatch(r"(?:observation\.)?state\[([0-9]{1,6}):([0-9]{1,6})\]", text.strip())
     first, last = (int(match[1]), int(match[2])) if match else (0, 0)
     if not match or last > len(names) or last - first not in (6, 7):
         raise ConfigError(
-            f"--grip-pose names six columns of the state (position, rotation vector or Euler "
+            f"{flags[0]} names six columns of the state (position, rotation vector or Euler "
             f"angles) or seven (position, quaternion) as observation.state[0:6] does, of "
             f"{len(names)} that there are ({', '.join(names)}); got {text[:80]!r}."
         )
+    position = tuple(range(first, first + 3))
     if form == "by_names":
         named = _form_of(names[first + 3 : last])
         if named is None:
             fitting = [name for name, count in COUNTS.items() if count == last - first - 3]
             raise ConfigError(
-                f"--grip-pose {text}: the names ({', '.join(names[first + 3 : last])}) do not say "
-                f"how the rotation is written. Give --rotation: {', '.join(fitting)}."
+                f"{flags[0]} {text}: the names ({', '.join(names[first + 3 : last])}) do not say "
+                f"how the rotation is written. Give {flags[1]}: {', '.join(fitting)}."
             )
-        form, order = named
-        columns = tuple(first + 3 + i for i in order)
-        return GripNumbers(tuple(range(first, first + 3)), columns, form)
+        return GripNumbers(position, tuple(first + 3 + i for i in named[1]), named[0])
     if COUNTS[form] != last - first - 3:
         raise ConfigError(
-            f"--rotation {form} has {COUNTS[form]} numbers, --grip-pose {text} leaves "
+            f"{flags[1]} {form} has {COUNTS[form]} numbers, {flags[0]} {text} leaves "
             f"{last - first - 3} after the position."
         )
-    return GripNumbers(tuple(range(first, first + 3)), tuple(range(first + 3, last)), form)
+    return GripNumbers(position, tuple(range(first + 3, last)), form)
 
 
-def _by_names(recording: Recording, form: RotationForm) -> GripNumbers:
-    position = meaning_of(recording).grip
-    named = _form_of(recording.state_names)
+def _by_names(names: Sequence[str], form: RotationForm, flags: tuple[str, str]) -> GripNumbers:
+    position, named = grip_named(names), _form_of(names)
     if position is None or named is None:
         raise ConfigError(
-            f"The names of the state ({', '.join(recording.state_names)}) do not say where the "
-            f"grip's {'position' if position is None else 'rotation'} is. Give --grip-pose, for "
-            "example --grip-pose observation.state[0:6] --rotation rotvec."
+            f"The names of the state ({', '.join(names)}) do not say where the grip's "
+            f"{'position' if position is None else 'rotation'} is. Give {flags[0]}, for example "
+            f"{flags[0]} observation.state[0:6] {flags[1]} rotvec."
         )
     if form not in ("by_names", named[0]):
         if COUNTS[form] != len(named[1]) or {form, named[0]} <= {"quaternion_wxyz"}:
-            raise ConfigError(f"--rotation {form}: the names of the state say {named[0]}.")
+            raise ConfigError(f"{flags[1]} {form}: the names of the state say {named[0]}.")
         return GripNumbers(position, named[1], form)
     return GripNumbers(position, named[1], named[0])
 
@@ -126,7 +142,29 @@ def poses_of_grip(numbers: np.ndarray, columns: GripNumbers, where: str) -> np.n
             f"{where}: a position of {np.abs(position).max():g}; expected metres. Likely cause: "
             "millimetres, or other columns."
         )
-    return pose_of(_rotations(values, columns.form, where), position)
+    poses = np.tile(np.eye(4), (len(numbers), 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = _rotations(values, columns.form, where), position
+    return poses
+
+
+def poses_between(poses: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Poses at moments between those that were recorded; at the ends, the first and the last.
+
+    Args:
+        poses: Array [T, 4, 4].
+        steps: Moments in steps, [n].
+
+    Returns:
+        Float64 [n, 4, 4].
+    """
+    at = np.clip(steps, 0, len(poses) - 1)
+    if len(poses) == 1 or np.array_equal(at, np.rint(at)):
+        return poses[at.astype(int)]
+    result = np.tile(np.eye(4), (len(at), 1, 1))
+    moments = np.arange(len(poses))
+    result[:, :3, :3] = Slerp(moments, Rotation.from_matrix(poses[:, :3, :3]))(at).as_matrix()
+    result[:, :3, 3] = np.stack([np.interp(at, moments, p) for p in poses[:, :3, 3].T], -1)
+    return result
 
 
 def _rotations(values: np.ndarray, form: RotationForm, where: str) -> np.ndarray:
