@@ -3,6 +3,8 @@
     python benchmarks/calibration.py lens [--trials 20] [--kind opencv|fisheye]
     python benchmarks/calibration.py tags [--trials 20] [--tags 1|2|3|4] [--pictures 5]
     python benchmarks/calibration.py hand-eye [--trials 20] [--pictures 15] [--mount fixed|grip]
+    python benchmarks/calibration.py arm [--cameras 50] [--held-out] [--films FOLDER]
+    python benchmarks/calibration.py drift [--cameras 50] [--held-out] [--films FOLDER]
 
 Pictures are drawn by following each pixel's rays through a camera and its lens, with blur, noise,
 light from one side, and boards that are seen in part; 640x480, a metre away. The tags' places and
@@ -14,6 +16,7 @@ import sys
 import time
 from pathlib import Path
 
+import calibration_arm
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -198,18 +201,29 @@ def show(names: tuple[str, ...], rows: np.ndarray) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("form", choices=["lens", "tags", "hand-eye"])
+    parser.add_argument("form", choices=["lens", "tags", "hand-eye", "arm", "drift"])
     parser.add_argument("--trials", type=int, default=20)
     parser.add_argument("--kind", choices=["opencv", "fisheye"], default="opencv")
     parser.add_argument("--tags", type=int, choices=[1, 2, 3, 4], default=4)
     parser.add_argument("--pictures", type=int)
     parser.add_argument("--mount", choices=["fixed", "grip"], default="fixed")
+    parser.add_argument("--cameras", type=int, default=50)
+    parser.add_argument("--held-out", action="store_true")
+    parser.add_argument("--films", type=Path, default=Path("films"))
     asked = parser.parse_args()
     match asked.form:
         case "lens":
             lens(asked.trials, asked.kind)
         case "tags":
             tags(asked.trials, asked.tags, asked.pictures or 5)
+        case "arm" | "drift":
+            first = 50 if asked.held_out else 0
+            cameras = range(first, first + min(asked.cameras, 50))
+            asked.films.mkdir(exist_ok=True)
+            if asked.form == "arm":
+                show(*calibration_arm.arm(cameras, asked.films))
+            else:
+                calibration_arm.drift(cameras, asked.films)
         case _:
             hand_eye(asked.trials, asked.pictures or 15, asked.mount)
 

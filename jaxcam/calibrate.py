@@ -1,4 +1,4 @@
-"""`python -m jaxcam.calibrate lens|tags|hand-eye`: Find how cameras see and where they stand."""
+"""`python -m jaxcam.calibrate lens|tags|hand-eye|arm|drift`: How cameras see, where they stand."""
 
 from jaxcam.config.calibrate import CalibrateConfig
 from jaxcam.console.command import CommandLine

@@ -11,6 +11,7 @@ from running import exit_code
 
 from jaxcam.__main__ import NAMES
 from jaxcam.config.calibrate import HandEyeConfig, LensConfig, TagsConfig
+from jaxcam.config.calibrate_arm import ArmConfig, DriftConfig
 from jaxcam.config.fields import check_types, overrides
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
@@ -136,8 +137,10 @@ def test_odd_flags(name, capsys):
 
 
 @pytest.mark.parametrize(
-    ("form", "settings"), [("lens", LensConfig), ("tags", TagsConfig), ("hand-eye", HandEyeConfig)]
-)
+    ("form", "settings"),
+    [("lens", LensConfig), ("tags", TagsConfig), ("hand-eye", HandEyeConfig), ("arm", ArmConfig),
+     ("drift", DriftConfig)],
+)  # fmt: skip
 def test_odd_flags_of_forms(form, settings, capsys):
     tried = ["--" + f.name.replace("_", "-") for f in dataclasses.fields(settings)][1:]
     for number, value in enumerate(ODD):

@@ -82,7 +82,12 @@ def check_foreign(path: Path, count: int, console: Console | None = None) -> Rep
 
 
 def check_folder(
-    path: Path, count: int, console: Console | None, cameras: Path | None, grip: str
+    path: Path,
+    count: int,
+    console: Console | None,
+    cameras: Path | None,
+    grip: str,
+    robot: str = "",
 ) -> Report:
     """Examines a folder, of a run or of a recorded dataset; see `examine`.
 
@@ -102,7 +107,7 @@ def check_folder(
     except (DatasetError, CameraError) as error:
         finding = bad("dataset", got=str(error), fix="See docs/recorded.md.")
         return Report(path.name, "It cannot be used.", [finding])
-    return check_recorded(recording, grip, count, console)
+    return check_recorded(recording, grip, count, console, robot)
 
 
 def examine(
@@ -112,6 +117,7 @@ def examine(
     *,
     cameras: Path | None = None,
     grip: str = "",
+    robot: str = "",
 ) -> Report:
     """Examines what a path leads to.
 
@@ -121,6 +127,7 @@ def examine(
         console: For progress; silent when None.
         cameras: JSON file of a recorded dataset's calibrations.
         grip: Where a recorded dataset's state has the grip's position.
+        robot: Arm of a recorded dataset, see `check_recorded`.
 
     Raises:
         ConfigError: It leads to a folder that is neither a run's nor a recorded dataset's.
@@ -129,7 +136,7 @@ def examine(
     if not os.path.lexists(path):
         raise DatasetError(f"{path}: there is neither a dataset nor a run.")
     if path.is_dir():
-        return check_folder(path, count, console, cameras, grip)
+        return check_folder(path, count, console, cameras, grip, robot)
     if recognise(path) in ("robomimic", "maniskill"):
         return check_foreign(path, count, console)
     return check_dataset(path, count, console)
@@ -168,6 +175,7 @@ def main(config: CheckConfig, console: Console) -> int:
             console,
             cameras=absolute(config.cameras) if config.cameras else None,
             grip=config.grip,
+            robot=config.robot,
         )
         findings = report.findings
         show(findings, console)

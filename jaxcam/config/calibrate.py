@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from jaxcam.config.calibrate_arm import ArmConfig, DriftConfig
 from jaxcam.config.fields import check_least, check_most, check_types
 from jaxcam.config.flags import default
 from jaxcam.errors import ConfigError
@@ -196,6 +197,8 @@ class CalibrateConfig:
             Annotated[LensConfig, tyro.conf.subcommand("lens")]
             | Annotated[TagsConfig, tyro.conf.subcommand("tags")]
             | Annotated[HandEyeConfig, tyro.conf.subcommand("hand-eye")]
+            | Annotated[ArmConfig, tyro.conf.subcommand("arm")]
+            | Annotated[DriftConfig, tyro.conf.subcommand("drift")]
         ]
     ]
     """What is done."""

@@ -204,6 +204,9 @@ class CheckConfig:
     """JSON file that says where the cameras of a recorded dataset stood."""
     grip: Annotated[str, default("by its names")] = ""
     """Where a recorded dataset's state has the grip's position, such as observation.state[0:3]."""
+    robot: Annotated[str, default("not looked at")] = ""
+    """Arm of a recorded dataset, panda or an MJCF or URDF file: by its motion cameras are held
+    against their poses where table and room do not tell."""
     out: Annotated[str, default("beside what is checked")] = ""
     """HTML page to write."""
 

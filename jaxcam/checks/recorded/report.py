@@ -10,6 +10,7 @@ from jaxcam.checks.findings import Finding, bad, good, note
 from jaxcam.checks.overlays import chosen
 from jaxcam.checks.page import Report
 from jaxcam.checks.recorded.cameras import check_calibrations, check_sights
+from jaxcam.checks.recorded.drifts import check_drift, unanswered
 from jaxcam.checks.recorded.judged import Judged, names, ranking, suspicion
 from jaxcam.checks.recorded.looks import Looks
 from jaxcam.checks.recorded.motion import films_of
@@ -35,7 +36,11 @@ CAPTION = (
 
 
 def check_recorded(
-    recording: Recording, grip: str = "", count: int = 8, console: Console | None = None
+    recording: Recording,
+    grip: str = "",
+    count: int = 8,
+    console: Console | None = None,
+    robot: str = "",
 ) -> Report:
     """Examines a recorded dataset.
 
@@ -45,9 +50,11 @@ def check_recorded(
             when empty.
         count: Episodes that are drawn over, of each view; 0 looks at no picture.
         console: For progress; silent when None.
+        robot: The arm, `panda` or a file, by whose motion cameras are held against their poses
+            where nothing else tells; not looked at when empty.
 
     Raises:
-        ConfigError: `grip` names no three columns of the state.
+        ConfigError: `grip` names no three columns of the state, or the arm cannot be read.
     """
     meaning = meaning_of(recording, grip)
     judged = [Judged(_about(recording)), *check_numbers(recording, meaning)]
@@ -69,7 +76,9 @@ def check_recorded(
             judged += check_sights(recording, columns, evidence.of_reading, wrong_K)
             judged += check_places(evidence.without(_explained(judged)))
         judged += _pictures(looks, columns)
-        judged += check_stills(looks, episodes)
+        judged += (stills := list(check_stills(looks, episodes)))
+        if robot:
+            judged += check_drift(recording, unanswered(recording, stills), episodes, robot)
         if "camera poses" not in wrong:
             overlays = draw_looks(looks, episodes, columns, max(1, count // 2))
     total = suspicion(judged, len(recording.episodes))

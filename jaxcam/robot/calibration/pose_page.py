@@ -13,6 +13,10 @@ GOOD = 0.005, np.deg2rad(0.5)
 """Two standard deviations of a pose (m, rad) up to which it is good."""
 FAIR = 0.02, np.deg2rad(2.0)
 """Likewise, up to which a policy can still use it."""
+MORE_TAGS = (
+    "More tags, farther apart, larger or nearer ones, or pictures of more pixels, make it better."
+)
+"""What makes poses by tags better."""
 OFF = 2.0
 """Residuals (pixels, of a picture 640 wide) from when on numbers do not fit the pictures."""
 
@@ -37,11 +41,14 @@ class Located:
         return f"{self.view}, episode {self.episode}" if self.episode else self.view
 
 
-def pose_verdict(spreads: Mapping[str, tuple[float, float]]) -> tuple[str, bool]:
+def pose_verdict(
+    spreads: Mapping[str, tuple[float, float]], better: str = MORE_TAGS
+) -> tuple[str, bool]:
     """A plain sentence on whether poses are good enough, and whether they are.
 
     Args:
         spreads: By the camera's name, standard deviations of its place (m) and rotation (rad).
+        better: What makes it better.
     """
     name = max(spreads, key=lambda n: max(spreads[n][0] / GOOD[0], spreads[n][1] / GOOD[1]))
     place, turn = 2 * spreads[name][0], 2 * spreads[name][1]
@@ -52,11 +59,10 @@ def pose_verdict(spreads: Mapping[str, tuple[float, float]]) -> tuple[str, bool]
     if place <= FAIR[0] and turn <= FAIR[1]:
         return (
             f"Good enough for a policy that saw cameras like it, not for measuring: {sure} (two "
-            "standard deviations). More tags, larger or nearer ones, make it better.", True,
+            f"standard deviations). {better}", True,
         )  # fmt: skip
     return (
-        f"Not good enough: {sure} (two standard deviations). Use more tags, farther apart, larger "
-        "or nearer ones, or pictures of more pixels.", False,
+        f"Not good enough: {sure} (two standard deviations). {better}", False,
     )  # fmt: skip
 
 

@@ -1,0 +1,1 @@
+"""Drift: by how much cameras have moved since their poses were found, episode by episode."""

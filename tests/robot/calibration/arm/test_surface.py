@@ -1,0 +1,59 @@
+"""Samples, silhouettes and contours, against hulls of the boxes' corners."""
+
+import cv2
+import numpy as np
+from boxed_arm import CAMERA, SIDE, K, boxed_arm, hulls
+
+from jaxcam.robot.calibration.arm.surface import Surface, contour, silhouette
+from jaxcam.robot.calibration.projection import placed
+
+ANGLES = np.array([0.3, -0.2, 0.6])
+
+
+def drawn():
+    mask = np.zeros((SIDE, SIDE), np.uint8)
+    for outline in hulls(ANGLES, CAMERA):
+        cv2.fillConvexPoly(mask, np.rint((outline - 0.5) * 16).astype(np.int32), 1, shift=4)
+    return mask > 0
+
+
+def poses():
+    return np.linalg.inv(CAMERA) @ boxed_arm().poses(ANGLES[None])[0]
+
+
+def test_samples_fill_the_silhouette():
+    points, owners = Surface.of(boxed_arm().parts).samples(0.005)
+    there = placed(poses()[owners], points[:, None])[:, 0]
+    pixels = there[:, :2] / there[:, 2:] @ K[:2, :2].T + K[:2, 2]
+    mask, true = silhouette(pixels, (SIDE, SIDE)), drawn()
+    assert (mask & true).sum() / (mask | true).sum() > 0.94
+
+
+def test_a_contour_lies_on_the_outline_and_looks_outwards():
+    true = drawn()
+    got = contour(Surface.of(boxed_arm().parts), poses(), K, true, spacing=1.0)
+    assert len(got.pixels) > 100
+    outlines = hulls(ANGLES, CAMERA)
+    for pixel, normal in zip(got.pixels, got.normals, strict=True):
+        distances = [abs(cv2.pointPolygonTest(o, tuple(map(float, pixel)), True)) for o in outlines]
+        assert min(distances) < 0.02
+        out, inside = pixel + 2.5 * normal, pixel - 1.5 * normal
+        assert not true[int(out[1]), int(out[0])]
+        assert true[int(inside[1]), int(inside[0])]
+
+
+def test_contour_points_are_points_of_links():
+    got = contour(Surface.of(boxed_arm().parts), poses(), K, drawn())
+    there = placed(poses()[got.owners], got.points[:, None])[:, 0]
+    pixels = there[:, :2] / there[:, 2:] @ K[:2, :2].T + K[:2, 2]
+    np.testing.assert_allclose(pixels, got.pixels, atol=0.3)
+
+
+def test_each_edge_has_the_faces_on_its_sides():
+    surface = Surface.of(boxed_arm().parts)
+    part, edges = surface.parts[0], surface.edges[0]
+    assert len(edges) == 18  # a box of twelve triangles
+    for a, b, one, other in edges:
+        assert {a, b} <= set(part.faces[one])
+        assert {a, b} <= set(part.faces[other])
+        assert one != other

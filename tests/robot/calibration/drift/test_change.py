@@ -1,0 +1,65 @@
+"""Cameras that moved in some episodes."""
+
+import numpy as np
+import pytest
+from boxed_arm import CAMERA, boxed_arm, film
+
+from jaxcam.robot.calibration.drift.change import (
+    AskedChange,
+    changes_asked,
+    judged_changes,
+    runs_of,
+)
+from jaxcam.robot.calibration.projection import apart, moved
+
+BUMP = np.r_[0.0, 0.0, 0.0, np.deg2rad([0.8, -0.8, 0.0])]
+
+
+def test_a_camera_that_was_turned_is_found_with_its_episode_and_pose():
+    elsewhere = moved(CAMERA, BUMP)
+    cameras = [CAMERA] * 4 + [elsewhere] * 2
+    shown = film(cameras, off=(np.deg2rad(0.4), 0, 0))
+    films = [shown.some(shown.episodes == e) for e in range(6)]
+    answers = judged_changes(changes_asked(boxed_arm(), films, [CAMERA] * 6))
+    assert [a.moved for a in answers] == [False] * 4 + [True] * 2
+    (run,) = runs_of(answers)
+    assert run[0].asked.episode == 4
+    place, turn = apart(run[0].pose, elsewhere)
+    assert place < 0.012
+    assert turn < np.deg2rad(0.6)
+
+
+def drawn(change, episode, rng, support=0.8):
+    noise = rng.normal(0, [0.002] * 3 + [0.001] * 3)
+    covariance = np.diag([0.002**2] * 3 + [0.001**2] * 3)
+    return AskedChange(episode, CAMERA, change + noise, covariance, support, np.zeros(3))
+
+
+def test_what_all_episodes_ask_for_is_no_motion():
+    """It is the joints' fault; and one in a thousand is called a motion at most."""
+    rng = np.random.default_rng(0)
+    common = np.r_[0.008, 0, 0, 0, 0.004, 0]
+    alarms = [
+        t.moved
+        for _ in range(40)
+        for t in judged_changes([drawn(common, e, rng) for e in range(25)])
+    ]
+    assert np.mean(alarms) <= 0.002
+
+
+@pytest.mark.parametrize("first", [3, 7, 12])
+def test_moves_are_named_from_the_first_episode_on_and_back(first):
+    rng = np.random.default_rng(first)
+    bump = np.r_[0.02, 0, 0, 0, 0, 0.02]
+    changes = [bump if first <= e < first + 3 else np.zeros(6) for e in range(16)]
+    answers = judged_changes([drawn(c, e, rng) for e, c in enumerate(changes)])
+    (run,) = runs_of(answers)
+    assert [one.asked.episode for one in run] == [first, first + 1, first + 2]
+    np.testing.assert_allclose(run[0].change, bump, atol=0.006)
+
+
+def test_episodes_that_say_nothing_are_left_out():
+    rng = np.random.default_rng(0)
+    asked = [drawn(np.zeros(6), e, rng, support=0.1 if e == 2 else 0.8) for e in range(5)]
+    assert [t.asked.episode for t in judged_changes(asked)] == [0, 1, 3, 4]
+    assert judged_changes([asked[2]]) == []
