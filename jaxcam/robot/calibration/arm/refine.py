@@ -30,7 +30,7 @@ _DELTA = 1e-4
 
 
 @dataclass(frozen=True)
-class ContourEdges:
+class Looked:
     """Contour points of all pictures, and how far their edges are off."""
 
     contours: list[Contour] = field(repr=False)
@@ -101,7 +101,7 @@ class Refiner:
             masks.append(silhouette(pixels, size, 2 * round(2.5 * self.scale) + 1))
         return np.stack(masks), poses
 
-    def look(self, solution: Solution, reach: float) -> ContourEdges:
+    def look(self, solution: Solution, reach: float) -> Looked:
         """Contours of a solution, and edges near them."""
         masks, poses = self.masks(solution)
         inverse = np.linalg.inv(solution.base_from_camera)
@@ -122,7 +122,7 @@ class Refiner:
                 rows.append(np.full(len(outline.pixels), i))
                 offsets.append(edges.offsets)
                 clear.append(edges.clear)
-        return ContourEdges(
+        return Looked(
             contours, np.concatenate(rows), np.concatenate(offsets), np.concatenate(clear)
         )
 
@@ -137,7 +137,7 @@ class Refiner:
         for picture in pictures:
             yield picture.astype(np.float32) - behind
 
-    def slopes(self, solution: Solution, looked: ContourEdges) -> np.ndarray:
+    def slopes(self, solution: Solution, looked: Looked) -> np.ndarray:
         """By how much contour points move along their normals, [n, 6 + joints + 1].
 
         Of small motions of the camera as in `moved`, of the joints, and of the lag.
@@ -207,7 +207,7 @@ class Refined:
     solution: Solution
     covariance: np.ndarray = field(repr=False)
     """Of small motions of the camera as in `moved`, [6, 6]."""
-    looked: ContourEdges = field(repr=False)
+    looked: Looked = field(repr=False)
     """The contours of the round before, and their edges."""
     left: np.ndarray = field(repr=False)
     """What the solution leaves of the offsets (pixels), [n]."""
@@ -235,7 +235,7 @@ class Refined:
 
 
 def solve_pose(
-    solution: Solution, J: np.ndarray, looked: ContourEdges, sure: float, prior: Prior
+    solution: Solution, J: np.ndarray, looked: Looked, sure: float, prior: Prior
 ) -> Refined:
     """Moves a solution so that contours lie on edges, by robust least squares.
 

@@ -193,6 +193,11 @@ def _name(config: HandEyeConfig) -> str:
 def _reasons(case: Case, fit: HandEyeFit, config: HandEyeConfig) -> Iterator[str]:
     """What would explain the pictures, as far as something does."""
     still, columns = case.at_rest, case.columns
+    start = fit.mount_from_camera, fit.holder_from_target
+    carried = still.shots.carried(columns)(case.delay)
+    scaled = refine(lambda _: carried, still.shots.sights, case.optics, start, "scale")
+    if case.explains(scaled) and 0.1 < scaled.also < 10:
+        yield _of_size(scaled.also, config)
     for form in get_args(RotationForm):
         if COUNTS.get(form) == len(columns.rotation) and form != columns.form:
             other = _explaining(replace(still, columns=replace(columns, form=form)))
@@ -212,11 +217,6 @@ def _reasons(case: Case, fit: HandEyeFit, config: HandEyeConfig) -> Iterator[str
             f"({delay.fit.rms:.1f} pixels). Correct the recording if you can: a policy that "
             "learns from it learns that delay."
         )
-    start = fit.mount_from_camera, fit.holder_from_target
-    carried = still.shots.carried(columns)(case.delay)
-    scaled = refine(lambda _: carried, still.shots.sights, case.optics, start, "scale")
-    if case.explains(scaled) and 0.1 < scaled.also < 10:
-        yield _of_size(scaled.also, config)
     for number in np.unique(still.shots.episodes)[1:]:
         parts = still.shots.episodes < number, still.shots.episodes >= number
         if min(part.sum() for part in parts) < ENOUGH:

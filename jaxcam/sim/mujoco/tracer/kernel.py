@@ -26,7 +26,7 @@ STACK = 128
 """Room for the nodes that a ray has still to visit; trees are less deep by far."""
 
 Vector = tuple[Any, Any, Any]
-Found = tuple[Any, Any, Any, Any]
+Strike = tuple[Any, Any, Any, Any]
 # Without Numba's memory management: counting references took half of the time. So nothing is
 # allocated here. What takes many arrays is inlined: to hand them over takes as long as to use them.
 _OPTIONS: dict[str, Any] = {
@@ -124,7 +124,7 @@ def _enter(
 
 
 @compiled
-def _triangle(triangles: np.ndarray, i: int, origin: Vector, ray: Vector) -> Found:
+def _triangle(triangles: np.ndarray, i: int, origin: Vector, ray: Vector) -> Strike:
     """Distance to a triangle and the place on it; the distance is negative behind and beside it.
 
     Seen from behind its determinant is negative.
@@ -247,7 +247,7 @@ def meets_mesh(
 
 
 @compiled
-def simple(kind: Any, size: np.ndarray, origin: Vector, ray: Vector) -> Found:
+def simple(kind: Any, size: np.ndarray, origin: Vector, ray: Vector) -> Strike:
     """Distance at which a ray enters a plane, box or cylinder, negative if never; the normal."""
     if kind == PLANE:
         if ray[2] >= ZERO:
