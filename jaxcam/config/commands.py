@@ -223,6 +223,51 @@ class CheckConfig:
 
 
 @dataclass(frozen=True)
+class ViewConfig:
+    """Look at a dataset, a run's rollouts or calibrated cameras in a browser; Ctrl-C ends.
+
+    Of two targets, one is laid over the other.
+    """
+
+    target: tyro.conf.Positional[
+        Annotated[
+            tuple[str, ...],
+            tyro.conf.arg(metavar="DATASET|RUN|CAMERAS.json ...", help_behavior_hint="(required)"),
+        ]
+    ]
+    """A dataset (also a file of robomimic's or ManiSkill's, or a recorded dataset's folder), a
+    run's folder, or a file of calibrations; one or two."""
+    episode: Annotated[int | None, tyro.conf.arg(metavar="INT"), default("the first")] = None
+    """Demonstration, recorded episode, or a run's held-out pair to begin with."""
+    save: Annotated[str, default("none")] = ""
+    """HTML page to write instead: one file that needs neither a server nor a network."""
+    port: int = 8080
+    """Port of this machine to listen at; 0 takes one that is free and tells which."""
+    split: Split = "test"
+    """Which pairs of a run."""
+    step: Annotated[int | None, tyro.conf.arg(metavar="INT"), default("all, the newest first")] = (
+        None
+    )
+    """Whose rollouts of a run: of which checkpoint."""
+    cameras: Annotated[str, default("the dataset's own")] = ""
+    """JSON file that says where the cameras of a recorded dataset stood."""
+    grip: Annotated[str, default("by its names")] = ""
+    """Where a recorded dataset's state has the grip's position, such as observation.state[0:3]."""
+
+    def __post_init__(self) -> None:
+        check_types(self)
+        check_least(self, 0, "episode port step")
+        check_most(self, 65535, "port")
+        if not 1 <= len(self.target) <= 2:
+            raise ConfigError(
+                f"{len(self.target)} targets are given. Name a dataset, a run's folder or a file "
+                "of cameras, or two of them."
+            )
+        if self.save and self.port != ViewConfig.port:
+            raise ConfigError("--save writes a file and serves nothing: leave out --port.")
+
+
+@dataclass(frozen=True)
 class SweepConfig:
     """Train and evaluate all runs of a grid; what is done is skipped, what was stopped goes on."""
 
