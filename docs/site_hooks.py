@@ -1,6 +1,6 @@
 """What the site has besides docs/: pages of the repository, with links that lead where they did.
 
-`mkdocs.yml` names it. In the repository a page of docs/ says `../examples/robot/README.md`, README.md
+`mkdocs.yml` names it. A page of docs/ says `../examples/robot/README.md`, README.md
 says `docs/start.md`; on the site both are one tree, in which README.md is the first page.
 """
 
@@ -20,12 +20,12 @@ FOLDERS = ("examples", "results", "grids", "benchmarks")
 LINK = re.compile(r"(\]\()([^)\s]+)(\))")
 
 
-def on_site(path: str) -> str:
+def site_path(path: str) -> str:
     """Where a file of the repository is on the site, as a path in docs/."""
     return "index.md" if path == "README.md" else path.removeprefix("docs/")
 
 
-def in_repo(path: str) -> str:
+def repo_path(path: str) -> str:
     """Where a file of the site is in the repository."""
     if path == "index.md":
         return "README.md"
@@ -54,7 +54,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         wanted |= linked((REPO / name).read_text(encoding="utf-8"), name)
     for name in sorted(wanted):
         if not name.startswith("docs/") and (REPO / name).is_file():
-            path = on_site(name)
+            path = site_path(name)
             files.append(
                 File.generated(config, path, content=(REPO / name).read_bytes())
                 if not name.endswith(".md")
@@ -65,14 +65,14 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """The page, with links from where it is on the site."""
-    source = in_repo(page.file.src_uri)
+    source = repo_path(page.file.src_uri)
     here, there = posixpath.dirname(source), posixpath.dirname(page.file.src_uri)
 
     def turned(match: re.Match[str]) -> str:
         url = urlsplit(match[2])
         if url.scheme or not url.path:
             return match[0]
-        target = on_site(posixpath.normpath(posixpath.join(here, url.path)))
+        target = site_path(posixpath.normpath(posixpath.join(here, url.path)))
         path = posixpath.relpath(target, there or ".")
         return f"{match[1]}{url._replace(path=path).geturl()}{match[3]}"
 
