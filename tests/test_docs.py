@@ -2,7 +2,6 @@
 
 import ast
 import re
-
 from urllib.parse import urlsplit
 
 import pytest

@@ -69,7 +69,8 @@ folder = out / "recorded"
 folder.mkdir()
 for number in range(2):
     np.savez(folder / f"{number}.npz", state=np.zeros((3, 2)), action=np.zeros((3, 2)),
-             pictures=np.full((3, 8, 10, 3), 7, np.uint8), K=[[9, 0, 5], [0, 9, 4], [0, 0, 1]], base_from_camera=pose)
+             pictures=np.full((3, 8, 10, 3), 7, np.uint8),
+             K=[[9, 0, 5], [0, 9, 4], [0, 0, 1]], base_from_camera=pose)
 recording = read_recording(folder)
 sight = recording.episodes[1].sights["front"]
 shown["format"] = [len(recording.episodes), sight.height, sight.width, len(list(sight.decode()))]
