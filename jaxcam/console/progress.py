@@ -46,7 +46,7 @@ def progress(
         return
     if job and total > done:
         words = in_words(expected_seconds(job, total - done))
-        console.print(f"{what} {total - done}: {words}", highlight=False, soft_wrap=True)
+        console.print(f"{what} ({total - done} steps): {words}", highlight=False, soft_wrap=True)
     started, made = time.monotonic(), [0]
 
     def counted(advance: Callable[..., None]) -> Callable[..., None]:

@@ -85,8 +85,8 @@ def test_a_bar_tells_its_time_first_and_keeps_it(monkeypatch):
                 advance()
         return file.getvalue().splitlines()[0]
 
-    assert run(10) == "drawing 10: no such work was timed on this machine yet"
-    assert run(10) == "drawing 10: about 20 s, as the last time on this machine"
+    assert run(10) == "drawing (10 steps): no such work was timed on this machine yet"
+    assert run(10) == "drawing (10 steps): about 20 s, as the last time on this machine"
 
 
 def test_an_interrupted_bar_is_not_kept():
