@@ -44,7 +44,7 @@ def test_a_notebook_runs(name, tmp_path, request):
     paths = os.pathsep.join([str(REPO), *sys.path])
     client = NotebookClient(
         book,
-        timeout=300,
+        timeout=600,
         kernel_name="python3",
         resources={"metadata": {"path": str(tmp_path)}},
     )
