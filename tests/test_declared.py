@@ -20,7 +20,7 @@ NOT_BY_IMPORT = {
     "wandb": "jaxcam.training.loggers loads it by name",
 }
 """Declared packages that no import statement of jaxcam names, and why they are there."""
-OF_DEVELOPERS = {"test", "dev"}
+OF_DEVELOPERS = {"test", "dev", "docs"}
 """Extras whose packages are for the tests and tools."""
 
 

@@ -5,7 +5,7 @@ import re
 from urllib.parse import urlsplit
 
 import pytest
-from pages import PAGES
+from pages import PAGES, blocks_of
 from places import REPO
 
 from jaxcam.config.names import TaskName, names_of
@@ -26,7 +26,10 @@ def test_what_a_page_names_exists(page):
     missing = {
         str(path) for path in modules if not (path.is_dir() or path.with_suffix(".py").exists())
     }
-    paths = set(PATH.findall(text)) - ENVIRONMENTS
+    made = {
+        b.text.partition("\n")[0].lstrip("# ") for b in blocks_of(page) if b.language == "python"
+    }
+    paths = set(PATH.findall(text)) - ENVIRONMENTS - made  # a recipe's new files are in its blocks
     missing |= {name for name in paths if not (REPO / name).exists()}
     missing |= {name for name in LINK.findall(text) if not (page.parent / name).exists()}
     assert missing == set()
