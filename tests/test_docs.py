@@ -22,14 +22,16 @@ OUTWARD = re.compile(r"https?:[^\s<>)\]`\"']*")
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_what_a_page_names_exists(page):
     text = page.read_text(encoding="utf-8")
-    modules = {REPO / name.replace(".", "/") for name in MODULE.findall(text)}
+    # A recipe's new files are in its blocks.
+    heads = (b.text.partition("\n")[0] for b in blocks_of(page) if b.language == "python")
+    made = {head.removeprefix("# ") for head in heads}
+    modules = {name.replace(".", "/") for name in MODULE.findall(text)}
     missing = {
-        str(path) for path in modules if not (path.is_dir() or path.with_suffix(".py").exists())
+        name
+        for name in modules
+        if not ((REPO / name).is_dir() or (REPO / f"{name}.py").exists() or f"{name}.py" in made)
     }
-    made = {
-        b.text.partition("\n")[0].lstrip("# ") for b in blocks_of(page) if b.language == "python"
-    }
-    paths = set(PATH.findall(text)) - ENVIRONMENTS - made  # a recipe's new files are in its blocks
+    paths = set(PATH.findall(text)) - ENVIRONMENTS - made
     missing |= {name for name in paths if not (REPO / name).exists()}
     missing |= {name for name in LINK.findall(text) if not (page.parent / name).exists()}
     assert missing == set()

@@ -25,7 +25,7 @@ WIDTH = 50
 
 
 @dataclasses.dataclass(frozen=True)
-class Stage:
+class Planned:
     """A part of a training.
 
     Attributes:
@@ -42,7 +42,7 @@ class Stage:
         return f"{self.what}: {in_words(self.seconds)}" if self.is_timed else self.what
 
 
-def stages(configs: Sequence[TrainConfig]) -> list[Stage]:
+def stages(configs: Sequence[TrainConfig]) -> list[Planned]:
     """The parts of a training, in order.
 
     Args:
@@ -50,32 +50,32 @@ def stages(configs: Sequence[TrainConfig]) -> list[Stage]:
     """
     config = configs[0]
     is_simulated = config.task != RECORDED
-    parts = [_demonstrations(config)] if is_simulated else [Stage(config.dataset, is_timed=False)]
+    parts = [_demonstrations(config)] if is_simulated else [Planned(config.dataset, is_timed=False)]
     drawn = "drawn" if is_simulated else "decoded"
-    parts.append(Stage(f"their pictures, {drawn} once and kept", is_timed=False))
+    parts.append(Planned(f"their pictures, {drawn} once and kept", is_timed=False))
     done = min(max(checkpoint_steps(c.run_dir), default=0) for c in configs)
     updates = f"{config.steps - done} updates of {config.batch}"
     updates += f", from {done} on" if done else ""
     updates += f", of {len(configs)} seeds side by side" if len(configs) > 1 else ""
     pace = expected_seconds(training_job(config, len(configs)), config.steps - done)
-    parts.append(Stage(updates, pace))
+    parts.append(Planned(updates, pace))
     if is_simulated:
         task = make_task(config.task)
         steps = task.horizon * -(-config.pairs // WIDTH) * len(configs)
         job = rollouts_job(task.name, engine_name(config.engine, task), WIDTH)
         rollouts = f"{config.pairs} rollouts seen by cameras that it never saw"
-        parts.append(Stage(rollouts, expected_seconds(job, steps)))
+        parts.append(Planned(rollouts, expected_seconds(job, steps)))
     return parts
 
 
-def _demonstrations(config: TrainConfig) -> Stage:
+def _demonstrations(config: TrainConfig) -> Planned:
     """The demonstrations of a task: there, or collected first."""
     file = Path(config.dataset) if config.dataset else dataset_path(CollectConfig.of(config))
     if config.dataset or file.exists():
-        return Stage(f"demonstrations, which are there: {file}", is_timed=False)
+        return Planned(f"demonstrations, which are there: {file}", is_timed=False)
     count = config.demos + config.validation
     seconds = expected_seconds(collecting_job(config.task, config.scene), count)
-    return Stage(f"{count} demonstrations are collected", seconds)
+    return Planned(f"{count} demonstrations are collected", seconds)
 
 
 def show_plan(configs: Sequence[TrainConfig], console: Console) -> None:
@@ -86,10 +86,10 @@ def show_plan(configs: Sequence[TrainConfig], console: Console) -> None:
         console: Where.
     """
     config = configs[0]
-    told = "not told its camera" if config.conditioning == "none" else config.conditioning
+    camera = "not told its camera" if config.conditioning == "none" else config.conditioning
     seeds = ", ".join(str(c.seed) for c in configs)
     lines = [
-        f"{config.task}: {config.policy}, preset {config.preset}, {told}, seed {seeds}",
+        f"{config.task}: {config.policy}, preset {config.preset}, {camera}, seed {seeds}",
         *(f"  {number}. {stage}" for number, stage in enumerate(stages(configs), 1)),
         f"Then {Path(config.run_dir) / 'report.html'}. Ctrl-C saves; the same command goes on.",
     ]
