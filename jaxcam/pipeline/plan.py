@@ -25,7 +25,7 @@ WIDTH = 50
 
 
 @dataclasses.dataclass(frozen=True)
-class Planned:
+class Stretch:
     """A part of a training.
 
     Attributes:
@@ -42,7 +42,7 @@ class Planned:
         return f"{self.what}: {in_words(self.seconds)}" if self.is_timed else self.what
 
 
-def stages(configs: Sequence[TrainConfig]) -> list[Planned]:
+def stages(configs: Sequence[TrainConfig]) -> list[Stretch]:
     """The parts of a training, in order.
 
     Args:
@@ -50,32 +50,32 @@ def stages(configs: Sequence[TrainConfig]) -> list[Planned]:
     """
     config = configs[0]
     is_simulated = config.task != RECORDED
-    parts = [_demonstrations(config)] if is_simulated else [Planned(config.dataset, is_timed=False)]
+    parts = [_demonstrations(config)] if is_simulated else [Stretch(config.dataset, is_timed=False)]
     drawn = "drawn" if is_simulated else "decoded"
-    parts.append(Planned(f"their pictures, {drawn} once and kept", is_timed=False))
+    parts.append(Stretch(f"their pictures, {drawn} once and kept", is_timed=False))
     done = min(max(checkpoint_steps(c.run_dir), default=0) for c in configs)
     updates = f"{config.steps - done} updates of {config.batch}"
     updates += f", from {done} on" if done else ""
     updates += f", of {len(configs)} seeds side by side" if len(configs) > 1 else ""
     pace = expected_seconds(training_job(config, len(configs)), config.steps - done)
-    parts.append(Planned(updates, pace))
+    parts.append(Stretch(updates, pace))
     if is_simulated:
         task = make_task(config.task)
         steps = task.horizon * -(-config.pairs // WIDTH) * len(configs)
         job = rollouts_job(task.name, engine_name(config.engine, task), WIDTH)
         rollouts = f"{config.pairs} rollouts seen by cameras that it never saw"
-        parts.append(Planned(rollouts, expected_seconds(job, steps)))
+        parts.append(Stretch(rollouts, expected_seconds(job, steps)))
     return parts
 
 
-def _demonstrations(config: TrainConfig) -> Planned:
+def _demonstrations(config: TrainConfig) -> Stretch:
     """The demonstrations of a task: there, or collected first."""
     file = Path(config.dataset) if config.dataset else dataset_path(CollectConfig.of(config))
     if config.dataset or file.exists():
-        return Planned(f"demonstrations, which are there: {file}", is_timed=False)
+        return Stretch(f"demonstrations, which are there: {file}", is_timed=False)
     count = config.demos + config.validation
     seconds = expected_seconds(collecting_job(config.task, config.scene), count)
-    return Planned(f"{count} demonstrations are collected", seconds)
+    return Stretch(f"{count} demonstrations are collected", seconds)
 
 
 def show_plan(configs: Sequence[TrainConfig], console: Console) -> None:
