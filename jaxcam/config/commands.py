@@ -2,13 +2,13 @@
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 
 from jaxcam.config.conditions import Conditions, several
 from jaxcam.config.fields import check_least, check_most, check_rotation_form, check_types
-from jaxcam.config.flags import default
+from jaxcam.config.flags import Groups, default
 from jaxcam.config.foreign import ForeignConfig
 from jaxcam.config.names import (
     ActionSpace,
@@ -28,8 +28,14 @@ from jaxcam.errors import ConfigError
 class EvaluateConfig:
     """Evaluate runs on held-out initial states and camera poses; what has a row is not run again.
 
-    The same command run again goes on with what is missing.
+    The same command run again goes on with what is missing. Somebody else's policy is evaluated
+    with --policy: see --help policy.
     """
+
+    GROUPS: ClassVar[Groups] = {
+        "": "run protocol step pairs split width engine ensemble videos distributed",
+        "policy": "foreign",
+    }
 
     run: tyro.conf.Positional[
         Annotated[
