@@ -25,10 +25,8 @@ from jaxcam.robot.calibration.arm.fit import fit_arm
 from jaxcam.robot.calibration.arm.model import load_arm
 from jaxcam.robot.calibration.drift.change import ask, judged_changes, with_common_joints
 from jaxcam.robot.calibration.projection import apart, moved
-from jaxcam.sim import make_task
+from jaxcam.sim import make_painter, make_task
 from jaxcam.sim.controllers import CONTROL_HZ
-from jaxcam.sim.mujoco.render import Renderer
-from jaxcam.sim.mujoco.scene import Scene
 from jaxcam.sim.types import View
 
 SIDE, EPISODES, PICTURES, BLUR = 256, 8, 8, 3
@@ -60,12 +58,11 @@ def draw_film(camera: int, path: Path) -> None:
     """Draws and keeps a film."""
     task = make_task("lift")
     scene = task.scene("randomized")
-    assert isinstance(scene, Scene)
     config = CollectConfig(demos=DEMOS, validation=0, n=1, m=0, seed=SEED,
                            data_dir=str(path.parent / "data"))  # fmt: skip
     demos = collect(config, Console())
     world_from_camera = sample_poses(task.cameras, 100, 23)[camera]
-    renderer = Renderer(scene, SIDE, varied=task.varied, batch=16)
+    painter = make_painter(scene, SIDE, SIDE, varied=task.varied)
     K, rng = intrinsics(task.fovy_deg, SIDE, SIDE), np.random.default_rng(camera)
     off = rng.uniform(-1, 1, 7) * OFF
     kept: dict[str, list[np.ndarray]] = {name: [] for name in ("rgb", "q", "grip", "steps")}
@@ -74,7 +71,7 @@ def draw_film(camera: int, path: Path) -> None:
         steps = np.unique(np.linspace(0, demo.length - 1, PICTURES).round().astype(int))
         qpos = np.concatenate([blurred(demo, step) for step in steps])
         count = len(qpos)
-        rgb = renderer.rgb(View(
+        rgb = painter.rgb(View(
             qpos,
             np.broadcast_to(demo.geom_size, (count, *demo.geom_size.shape)),
             np.broadcast_to(demo.fixtures, (count, *demo.fixtures.shape)),

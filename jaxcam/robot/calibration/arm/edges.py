@@ -21,7 +21,7 @@ CLEAR = 4.0
 
 
 @dataclass(frozen=True)
-class Found:
+class EdgeOffsets:
     """Edges along normals."""
 
     offsets: np.ndarray = field(repr=False)
@@ -55,7 +55,7 @@ def behind_arm(rgb: np.ndarray, covered: np.ndarray) -> np.ndarray:
 
 def find_edges(
     difference: np.ndarray, pixels: np.ndarray, normals: np.ndarray, reach: float
-) -> Found:
+) -> EdgeOffsets:
     """Where edges are along normals.
 
     Args:
@@ -109,4 +109,4 @@ def find_edges(
         & (contrast > CLEAR * NOISE)
         & (abs(offsets) <= reach)
     )
-    return Found(offsets, clear, contrast)
+    return EdgeOffsets(offsets, clear, contrast)

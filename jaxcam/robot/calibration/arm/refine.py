@@ -105,7 +105,7 @@ class Refiner:
         """Contours of a solution, and edges near them."""
         masks, poses = self.masks(solution)
         inverse = np.linalg.inv(solution.base_from_camera)
-        width = 2 * int(np.ceil(reach / 2)) + 1
+        width = 2 * int(np.ceil(reach)) + 1
         covered = np.stack([
             cv2.dilate(m.astype(np.uint8), np.ones((width, width), np.uint8)) > 0 for m in masks
         ])  # fmt: skip

@@ -39,17 +39,17 @@ def test_a_dataset_gives_the_cameras_pose(place, capsys):
 
 
 @pytest.mark.parametrize(
-    ("more", "message"),
+    ("asked", "message"),
     [
-        (("--view", "back"), "--view: unknown 'back'"),
-        (("--robot", "panda"), "panda has 7 joints, the state has 3"),
-        (("--robot", "none.urdf"), "no such file"),
-        (("--joints", "state[1:9]"), "--joints names columns"),
-        (("--masks", "none.npz"), "no such file"),
+        (("--view", "back", "--robot", "arm.xml"), "--view: unknown 'back'"),
+        (("--view", "front", "--robot", "panda"), "panda has 7 joints, the state has 3"),
+        (("--view", "front", "--robot", "none.urdf"), "no such file"),
+        ((*ASKED[3:], "--joints", "state[1:9]"), "--joints names columns"),
+        ((*ASKED[3:], "--masks", "none.npz"), "no such file"),
     ],
 )
-def test_what_does_not_go_together_is_said(place, capsys, more, message):
+def test_what_does_not_go_together_is_said(place, capsys, asked, message):
     before = (place / "cameras.json").read_text()
-    assert exit_code(*ASKED, *more) != 0
+    assert exit_code(*ASKED[:3], *asked) != 0
     assert message in " ".join(capsys.readouterr().err.replace("│", " ").split())
     assert (place / "cameras.json").read_text() == before
