@@ -34,6 +34,7 @@ class EvaluateConfig:
 
     GROUPS: ClassVar[Groups] = {
         "": "run protocol step pairs split width engine ensemble videos distributed",
+        "conditions": "pose_noise pose_drift fovy lens centre aspect",
         "policy": "foreign",
     }
 
