@@ -173,7 +173,7 @@ class Evaluator:
             width can change a result's last digits; it is kept in each row.
         engine: That simulates them; `config.engine` when None.
         ensemble: Rate of temporal ensembling, 0 is off; `config.ensemble` when None.
-        seen: Cameras that training saw [C, 4, 4], which the pairs of `train` need.
+        trained_on: Cameras that training saw [C, 4, 4], which the pairs of `train` need.
     """
 
     def __init__(
@@ -182,9 +182,9 @@ class Evaluator:
         width: int = 50,
         engine: str | None = None,
         ensemble: float | None = None,
-        seen: np.ndarray | None = None,
+        trained_on: np.ndarray | None = None,
     ) -> None:
-        self.config, self.width, self.seen = config, width, seen
+        self.config, self.width, self.trained_on = config, width, trained_on
         self.ensemble = config.ensemble if ensemble is None else ensemble
         self.task = make_task(config.task)
         self.task.require()
@@ -311,7 +311,7 @@ class Evaluator:
 
     def pairs(self, split: str, numbers: Sequence[int]) -> Pairs:
         """The pairs of these numbers."""
-        return make_pairs(self.task, self.scene, self.config.views, split, numbers, self.seen)
+        return make_pairs(self.task, self.scene, self.config.views, split, numbers, self.trained_on)
 
 
 @dataclass(frozen=True)

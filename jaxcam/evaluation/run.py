@@ -52,11 +52,11 @@ def evaluate_run(config: EvaluateConfig, folder: Path, console: Console | None) 
     if config.protocol == "paper":
         steps, lacking = steps_to_judge(folder, inputs.config)
     policy = rebuild_policy(inputs)
-    seen = None
+    trained_on = None
     if config.split == SEEN:
         data = next((str(side["data"]) for side in sides(folder).values()), None)
-        seen = cameras_seen(inputs.config, data)
-    evaluator = Evaluator(inputs.config, config.width, config.engine, config.ensemble, seen)
+        trained_on = cameras_seen(inputs.config, data)
+    evaluator = Evaluator(inputs.config, config.width, config.engine, config.ensemble, trained_on)
     rows = read_run_rows(folder)
     wanted = Wanted(config.split, config.pairs)
     open_steps = [s for s in steps if missing(rows_of(rows, evaluator, s, wanted), config.pairs)]

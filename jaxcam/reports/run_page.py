@@ -61,8 +61,8 @@ def write_report(run_dir: str | Path) -> Path:
     if not ((run / "config.json").is_file() or has_foreign(run)):
         raise ConfigError(f"{run} is not the folder of a run: it has no config.json.")
     # Rows of validation pairs serve to choose settings; they are no result.
-    every = latest_rows(read_run_rows(run))
-    rows = [row for row in every if row.split == "test"]
+    of_all = latest_rows(read_run_rows(run))
+    rows = [row for row in of_all if row.split == "test"]
     newest = max((row.step for row in rows), default=0)
     shown = [row for row in rows if row.step == newest]
     about = _about_foreign(run, shown) if has_foreign(run) else _about(run_dir, shown, newest)
@@ -79,7 +79,7 @@ def write_report(run_dir: str | Path) -> Path:
         environment=_environment(run / "env.txt"),
         title=about.title,
         subtitle=about.subtitle,
-        facts=about.facts | _memory([row for row in every if row.split == SEEN]),
+        facts=about.facts | _memory([row for row in of_all if row.split == SEEN]),
         commands=[[shlex.quote(word) for word in line] for line in about.commands],
         settings=about.settings,
     )
