@@ -2,6 +2,6 @@
 
 from jaxcam.interrupts import end_commands_at_once
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 end_commands_at_once()

@@ -19,6 +19,7 @@ NAMES = (
     "report",
     "sweep",
     "check",
+    "view",
     "calibrate",
     "trial",
     "weights",

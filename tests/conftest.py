@@ -6,11 +6,14 @@ Fixtures import what they need: most tests need neither JAX nor a simulator.
 import gc
 import os
 import sys
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+os.environ["JAXCAM_CACHE"] = tempfile.mkdtemp(prefix="jaxcam-tests-")
+"""Tests neither see nor change how long jobs took on this machine."""
 TINY = {"demos": 4, "validation": 2}
 """Settings of the session's dataset."""
 PIXELS = 24

@@ -8,6 +8,8 @@ from importlib.metadata import packages_distributions
 
 from places import REPO
 
+import jaxcam
+
 PROJECT = tomllib.loads((REPO / "pyproject.toml").read_text())["project"]
 MODULES = packages_distributions()
 
@@ -18,7 +20,7 @@ NOT_BY_IMPORT = {
     "wandb": "jaxcam.training.loggers loads it by name",
 }
 """Declared packages that no import statement of jaxcam names, and why they are there."""
-OF_DEVELOPERS = {"test", "dev"}
+OF_DEVELOPERS = {"test", "dev", "docs"}
 """Extras whose packages are for the tests and tools."""
 
 
@@ -74,3 +76,23 @@ def test_every_declared_package_is_imported():
     used = set().union(*(distributions(module) for module in imports()))
     assert declared() - used - set(NOT_BY_IMPORT) == set()
     assert set(NOT_BY_IMPORT) <= declared()
+
+
+def test_every_place_has_the_same_version():
+    """The release that is published, cited, imported and described."""
+    version = PROJECT["version"]
+    assert jaxcam.__version__ == version
+    assert f"\nversion: {version}\n" in (REPO / "CITATION.cff").read_text()
+    released = re.findall(r"^## \[([\d.]+)\]", (REPO / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert released[0] == version
+
+
+def test_the_page_of_a_package_index_leads_nowhere_that_it_has_not():
+    """Links and pictures of README.md that need the repository are left out of the metadata."""
+    text = (REPO / "README.md").read_text()
+    rules = tomllib.loads((REPO / "pyproject.toml").read_text())["tool"]["hatch"]
+    for rule in rules["metadata"]["hooks"]["fancy-pypi-readme"]["substitutions"]:
+        text = re.sub(rule["pattern"], rule["replacement"], text)
+    assert re.findall(r"\]\((?!https://)", text) == []
+    assert "blue is" not in text  # no caption without its picture
+    assert "docs/your-policy.md" in text

@@ -51,7 +51,7 @@ def test_the_whole_package_needs_no_extra_and_no_network():
 WITHOUT = """
 import sys
 from importlib import import_module
-extras = "pyarrow safetensors tokenizers submitit tensorboardX wandb"
+extras = "pyarrow safetensors tokenizers submitit tensorboardX wandb viser"
 sys.modules |= dict.fromkeys(extras.split())  # None: as if they were not installed
 from jaxcam.__main__ import NAMES
 from jaxcam.errors import ConfigError
@@ -60,13 +60,16 @@ for name in NAMES:
     try:
         import_module(module)
     except ConfigError as error:
-        sys.stderr.write(f"{name}: {error}")
+        sys.stderr.write(f"{name}: {error}\\n")
 """
 
 
-def test_without_extras_each_command_runs_but_the_one_that_is_for_an_extra():
+def test_without_extras_each_command_runs_but_those_that_are_for_an_extra():
     _, errors = loaded(WITHOUT)
-    assert errors == "lerobot: This needs pyarrow: pip install 'jaxcam[lerobot]'."
+    assert errors.splitlines() == [
+        "view: This needs viser: pip install 'jaxcam[viz]'.",
+        "lerobot: This needs pyarrow: pip install 'jaxcam[lerobot]'.",
+    ]
 
 
 def test_a_lerobot_dataset_without_its_extra_is_told_how_to_get_it(tmp_path):

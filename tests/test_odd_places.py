@@ -19,6 +19,10 @@ from jaxcam.__main__ import NAMES
 
 ROOT = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give its rights up for a test")
 NOWHERE = 65534
+VIEW = {
+    "K": {"fx": 60, "fy": 60, "cx": 32, "cy": 24}, "size": [64, 48],
+    "base_from_camera": {"position": [1, 0, 0.5], "quaternion_wxyz": [1, 0, 0, 0]},
+}  # fmt: skip
 
 
 @pytest.fixture
@@ -42,6 +46,8 @@ def commands(demos, tmp_path):
     """Words of every command, in which PLACE is a place that is read or written."""
     grid = tmp_path / "grid.yaml"
     grid.write_text(SMALL.format(folder=tmp_path).replace(f"{tmp_path}/runs", "PLACE"))
+    cameras = tmp_path / "cameras.json"
+    cameras.write_text(json.dumps({"format": 1, "views": {"front": VIEW}}))
     data, results = str(demos.path), str(REPO / "results" / "lift")
     few = ["--demos", "1", "--validation", "1"]
     train = ["train", "--dataset", data, "--steps", "2"]
@@ -58,6 +64,8 @@ def commands(demos, tmp_path):
         ["report", results, "--out", "PLACE"],
         ["sweep", "PLACE"],
         ["check", "PLACE"],
+        ["view", str(cameras), "--save", "PLACE"],
+        ["view", "PLACE"],
         ["check", "PLACE", "--out", "PLACE"],
         ["calibrate", "lens", "PLACE", "--view", "front"],
         ["calibrate", "lens", "--print-board", "PLACE"],

@@ -88,8 +88,8 @@ ODD = (
 )
 """Values that people, scripts and other languages give."""
 
-POSITIONAL = {"evaluate": 1, "replay": 1, "report": 1, "sweep": 1, "check": 1, "weights": 1,
-              "robomimic": 1, "maniskill": 1, "lerobot": 2}  # fmt: skip
+POSITIONAL = {"evaluate": 1, "replay": 1, "report": 1, "sweep": 1, "check": 1, "view": 1,
+              "weights": 1, "robomimic": 1, "maniskill": 1, "lerobot": 2}  # fmt: skip
 SWITCHES = ("--env", "--distributed", "--list", "--validation")
 HARMLESS = {"train": ["--dataset", "none.hdf5"], "collect": ["--demos", "0"]}
 """What ends the commands that could begin something, whatever else is given."""

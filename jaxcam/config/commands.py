@@ -2,13 +2,13 @@
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 
 from jaxcam.config.conditions import Conditions, several
 from jaxcam.config.fields import check_least, check_most, check_rotation_form, check_types
-from jaxcam.config.flags import default
+from jaxcam.config.flags import Groups, default
 from jaxcam.config.foreign import ForeignConfig
 from jaxcam.config.names import (
     ActionSpace,
@@ -28,8 +28,15 @@ from jaxcam.errors import ConfigError
 class EvaluateConfig:
     """Evaluate runs on held-out initial states and camera poses; what has a row is not run again.
 
-    The same command run again goes on with what is missing.
+    The same command run again goes on with what is missing. Somebody else's policy is evaluated
+    with --policy: see --help policy.
     """
+
+    GROUPS: ClassVar[Groups] = {
+        "": "run protocol step pairs split width engine ensemble videos distributed",
+        "conditions": "pose_noise pose_drift fovy lens centre aspect",
+        "policy": "foreign",
+    }
 
     run: tyro.conf.Positional[
         Annotated[
@@ -220,6 +227,51 @@ class CheckConfig:
             raise ConfigError("--env writes no page: leave out --out.")
         if not (self.env or self.target):
             raise ConfigError("Nothing to check. Name a dataset or a run's folder, or give --env.")
+
+
+@dataclass(frozen=True)
+class ViewConfig:
+    """Look at a dataset, a run's rollouts or calibrated cameras in a browser; Ctrl-C ends.
+
+    Of two targets, one is laid over the other.
+    """
+
+    target: tyro.conf.Positional[
+        Annotated[
+            tuple[str, ...],
+            tyro.conf.arg(metavar="DATASET|RUN|CAMERAS.json ...", help_behavior_hint="(required)"),
+        ]
+    ]
+    """A dataset (also a file of robomimic's or ManiSkill's, or a recorded dataset's folder), a
+    run's folder, or a file of calibrations; one or two."""
+    episode: Annotated[int | None, tyro.conf.arg(metavar="INT"), default("the first")] = None
+    """Demonstration, recorded episode, or a run's held-out pair to begin with."""
+    save: Annotated[str, default("none")] = ""
+    """HTML page to write instead: one file that needs neither a server nor a network."""
+    port: int = 8080
+    """Port of this machine to listen at; 0 takes one that is free and tells which."""
+    split: Split = "test"
+    """Which pairs of a run."""
+    step: Annotated[int | None, tyro.conf.arg(metavar="INT"), default("all, the newest first")] = (
+        None
+    )
+    """Whose rollouts of a run: of which checkpoint."""
+    cameras: Annotated[str, default("the dataset's own")] = ""
+    """JSON file that says where the cameras of a recorded dataset stood."""
+    grip: Annotated[str, default("by its names")] = ""
+    """Where a recorded dataset's state has the grip's position, such as observation.state[0:3]."""
+
+    def __post_init__(self) -> None:
+        check_types(self)
+        check_least(self, 0, "episode port step")
+        check_most(self, 65535, "port")
+        if not 1 <= len(self.target) <= 2:
+            raise ConfigError(
+                f"{len(self.target)} targets are given. Name a dataset, a run's folder or a file "
+                "of cameras, or two of them."
+            )
+        if self.save and self.port != ViewConfig.port:
+            raise ConfigError("--save writes a file and serves nothing: leave out --port.")
 
 
 @dataclass(frozen=True)

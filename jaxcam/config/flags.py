@@ -3,9 +3,12 @@
 Attribute docstrings are what `--help` prints. Nothing here imports JAX, so help is fast.
 """
 
+import dataclasses
+import inspect
 import sys
+import typing
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, cast, get_origin
 
 import tyro
@@ -38,6 +41,11 @@ def _choices(names: Iterable[str]) -> str:
     return "{" + ",".join(names) + "}"
 
 
+Groups = Mapping[str, str]
+"""Which settings `--help NAME` shows, by its name: fields with spaces between. A record of many
+settings has them as `GROUPS`; the group "" is what `--help` alone shows, and `all` is all."""
+
+
 def default(text: str) -> Any:
     """Marks a setting whose default `--help` tells in words."""
     return tyro.conf.arg(help_behavior_hint=f"(default: {text})")
@@ -49,18 +57,48 @@ def parse(kind: type[C], argv: Sequence[str] | None = None, prog: str | None = N
     Args:
         kind: Record of settings.
         argv: Flags; those of the process when None.
-        prog: The command as it was typed, for `--help`.
+        prog: The command as it was typed, for `--help`. Records with `GROUPS` show a group of their
+            settings: see `Groups`.
 
     Raises:
         ConfigError: A flag is given twice: the first one would be forgotten without a word.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     words = words[: words.index("--")] if "--" in words else words
+    groups: Groups = getattr(kind, "GROUPS", {})
+    asked = [i for i, word in enumerate(words) if word in ("-h", "--help")]
+    if groups and asked:
+        after = words[asked[0] + 1 : asked[0] + 2]
+        show_help(kind, after[0] if after and after[0] in (*groups, "all") else "", prog)
     names = [word.partition("=")[0].replace("_", "-") for word in words if word.startswith("--")]
     given = Counter(f"--{name.removeprefix('--').removeprefix('no-')}" for name in names)
     if twice := [name for name, times in given.items() if times > 1]:
         raise ConfigError(f"{twice[0]} is given twice. Give it once, with all its values.")
     return tyro.cli(kind, args=argv, prog=prog, registry=_REGISTRY)
+
+
+def show_help(kind: type[Any], group: str, prog: str | None = None) -> typing.NoReturn:
+    """Print the help of a group of settings, and end the process.
+
+    Args:
+        kind: Record of settings, with `GROUPS`.
+        group: A name among them, or "all".
+        prog: The command as it was typed.
+
+    Raises:
+        SystemExit: Always.
+    """
+    groups: Groups = kind.GROUPS
+    fields = [field.name for field in dataclasses.fields(kind)]
+    shown = fields if group == "all" else groups[group].split()
+    hints = typing.get_type_hints(kind, include_extras=True)
+    hidden = {n: Annotated[hints[n], tyro.conf.Suppress] for n in fields if n not in shown}
+    about = {"__annotations__": hidden, "__doc__": kind.__doc__, "__module__": kind.__module__}
+    part = type(kind.__name__, (kind,), about)
+    others = [f"--help {name}" for name in (*groups, "all") if name not in ("", group)]
+    more = f"{inspect.getdoc(kind)}\n\nMore settings: {', '.join(others)}."
+    tyro.cli(part, args=["--help"], prog=prog, description=more, registry=_REGISTRY)
+    raise SystemExit(0)  # pyright: ignore[reportUnreachable]
 
 
 _REGISTRY = ConstructorRegistry()

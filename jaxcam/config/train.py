@@ -5,7 +5,7 @@ policy.
 """
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import tyro
 
@@ -21,7 +21,7 @@ from jaxcam.config.fields import (
     check_window,
     overrides,
 )
-from jaxcam.config.flags import PRESET, FromPreset, default
+from jaxcam.config.flags import PRESET, FromPreset, Groups, default
 from jaxcam.config.names import (
     ActionChoice,
     ActionFrame,
@@ -55,6 +55,19 @@ class TrainConfig:
 
     Missing demonstrations are collected first. The same command run again resumes.
     """
+
+    GROUPS: ClassVar[Groups] = {
+        "": "task scene policy preset conditioning seed steps demos pairs dataset cameras run_dir",
+        "network": "conditioning action_space action_frame ray_frame rotations model weights stem",
+        "updates": "steps batch accumulate lr schedule warmup final_lr optimizer weight_decay "
+        "beta1 beta2 clip_norm ema ema_power precision",
+        "data": "n m views demos validation resolution crop_min data_dir",
+        "cameras": "fovy eval_fovy pose_noise pose_noise_per rays_from lens centre aspect",
+        "recorded": "dataset cameras grip action_is hold_out_view hold_out_episodes",
+        "evaluation": "pairs engine ensemble videos",
+        "run": "seed seeds run_dir log_every eval_every save_every keep steps_per_call log "
+        "distributed",
+    }
 
     task: Subject = "lift"
     """What the robot has to do; recorded is what the --dataset shows, where that is a folder."""

@@ -16,6 +16,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from jaxcam.console.paces import expected_seconds, in_words, keep_pace
 from jaxcam.interrupts import check_stop
 
 LINE_SECONDS = 60.0
@@ -24,7 +25,7 @@ LINE_SECONDS = 60.0
 
 @contextlib.contextmanager
 def progress(
-    console: Console | None, what: str, total: int, *, done: int = 0
+    console: Console | None, what: str, total: int, *, done: int = 0, job: str = ""
 ) -> Iterator[Callable[..., None]]:
     """Shows how far a long job is.
 
@@ -33,6 +34,8 @@ def progress(
         what: The job, a word or two.
         total: Number of steps.
         done: Steps that are done already.
+        job: Its kind in words: how long it takes is then told at its start, by the last one of the
+            same kind on this machine (`jaxcam.console.paces`). Empty tells nothing.
 
     Yields:
         `advance(steps=1, note="")`, to be called as steps are done, when nothing is half-way: it
@@ -41,6 +44,26 @@ def progress(
     if console is None:
         yield lambda steps=1, note="": check_stop()
         return
+    if job and total > done:
+        words = in_words(expected_seconds(job, total - done))
+        console.print(f"{what} ({total - done} steps): {words}", highlight=False, soft_wrap=True)
+    started, made = time.monotonic(), [0]
+
+    def counted(advance: Callable[..., None]) -> Callable[..., None]:
+        def count(steps: int = 1, note: str = "") -> None:
+            made[0] += steps
+            advance(steps, note)
+
+        return count
+
+    with _shown(console, what, total, done) as advance:
+        yield counted(advance)
+    keep_pace(job, made[0], time.monotonic() - started)
+
+
+@contextlib.contextmanager
+def _shown(console: Console, what: str, total: int, done: int) -> Iterator[Callable[..., None]]:
+    """The bar, or the lines."""
     if not console.is_terminal:
         lines = _Lines(console, what, total, done)
         yield lines.advance

@@ -11,6 +11,7 @@ from rich.console import Console
 
 from jaxcam.config.datasets import CollectConfig
 from jaxcam.config.fields import fill
+from jaxcam.console.paces import collecting_job
 from jaxcam.console.progress import progress
 from jaxcam.data.demos import Demo, Demos, read_demos
 from jaxcam.data.header import CAMERA_ARRAYS, Header, optics_ranges, said_optics
@@ -122,7 +123,8 @@ def _fill(writer: DemoWriter, task: Task, scene: World, console: Console | None)
     seeds = episode_seeds(header.seed)
     tried = succeeded = kept = 0
     unsteady: list[int] = []
-    with progress(console, "collecting", total, done=len(writer.done)) as advance:
+    job = collecting_job(task.name, header.scene)
+    with progress(console, "collecting", total, done=len(writer.done), job=job) as advance:
         slots = iter(sorted(set(range(total)) - writer.done))
         # Attempt k of slot i has seed i + k * total: an interrupted collection ends as a whole one.
         todo = [(slot, 0) for slot in slots]

@@ -132,8 +132,8 @@ class Demo:
             qvel: Joint velocities at the same times [T + 1, nv].
             actions: Commanded grip poses (m, rotation vector; world) and gripper signs [T, 7].
             grip_position: Measured grip site (m, world) [T + 1, 3].
-            grip_rotation: Its axes in the world [T + 1, 3, 3].
-            gripper: The gripper's command in [-1 open, 1 closed] [T + 1].
+            grip_rotation: Its axes in the world, [T + 1, 3, 3].
+            gripper: The gripper's command, -1 open to 1 closed, [T + 1].
         """
         time = np.arange(len(qpos))[:, None] / CONTROL_HZ
         return cls(

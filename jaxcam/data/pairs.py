@@ -56,7 +56,7 @@ def make_pairs(
     views: int,
     split: str,
     numbers: Sequence[int],
-    seen: np.ndarray | None = None,
+    trained_on: np.ndarray | None = None,
 ) -> Pairs:
     """The pairs of these numbers; pair p has the camera poses V p to V p + V - 1.
 
@@ -66,13 +66,14 @@ def make_pairs(
         views: Cameras of a pair.
         split: `test` or `validation`; or `train`, whose starts are new and whose cameras are not.
         numbers: Of the pairs.
-        seen: The cameras of `train` [C, 4, 4], from `cameras_seen`; after the last comes the first.
+        trained_on: The cameras of `train` [C, 4, 4], from `cameras_seen`; after the
+            last comes the first.
     """
     if split == SEEN:
-        assert seen is not None, "pairs of train have cameras that training saw"
+        assert trained_on is not None, "pairs of train have cameras that training saw"
         rows = views * np.array(numbers)[:, None] + np.arange(views)
         seeds = [SEEN_EPISODES + number for number in numbers]
-        return Pairs(seeds, seen[rows % len(seen)], starts(task, scene, seeds))
+        return Pairs(seeds, trained_on[rows % len(trained_on)], starts(task, scene, seeds))
     poses = sample_poses(task.cameras, views * (max(numbers) + 1), SPLITS[split].cameras)
     seeds = [SPLITS[split].episodes + number for number in numbers]
     cameras = poses.reshape(-1, views, 4, 4)[list(numbers)]

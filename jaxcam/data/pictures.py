@@ -130,7 +130,8 @@ def _render(
 
         total = int(wanted.sum())
         drawn = draw_views(demos.header, resolution, map(view, groups), len(groups))
-        with progress(console, "rendering", total, done=total - len(missing)) as advance:
+        job = f"rendering {demos.header.task} {resolution}"
+        with progress(console, "rendering", total, done=total - len(missing), job=job) as advance:
             for rows, pictures in zip(groups, drawn, strict=True):
                 cache.write(rows, pictures)
                 advance(len(rows))

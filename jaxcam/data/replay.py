@@ -108,7 +108,8 @@ def show_replayed(
 ) -> dict[str, np.ndarray]:
     """Replays a dataset and prints a table of how many succeed; see `replay_all`."""
     episodes, header = demos.episodes, demos.header
-    with progress(to, "replaying", len(episodes) * len(spaces)) as advance:
+    job, total = f"replaying {header.task}", len(episodes) * len(spaces)
+    with progress(to, "replaying", total, job=job) as advance:
         replayed = replay_all(episodes, demos.task, demos.world, spaces, engine, advance)
     table = Table(title=f"{header.task}, {header.scene}: {len(episodes)} demonstrations")
     for column in ("action space", "succeed", "rate", "fail"):

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from jaxcam.console.paces import rollouts_job
 from jaxcam.console.progress import progress
 from jaxcam.data.pairs import store_pairs
 from jaxcam.devices import gathered, is_first, memory_lacks, shard
@@ -102,7 +103,8 @@ def _run_missing(
     turns = -(-len(missing(rows, wanted.pairs)) // most)
     what = f"step {candidate.step}" if candidate.step else "rollouts"
     what = ", ".join(filter(None, [what, evaluator.conditions.words]))
-    with progress(console, what, horizon * turns) as advance:
+    job = rollouts_job(evaluator.task.name, evaluator.engine_name, evaluator.width)
+    with progress(console, what, horizon * turns, job=job) as advance:
         while batch := missing(rows, wanted.pairs)[:most]:
             each = -(-len(batch) // processes)
             mine, clock = batch[number * each : (number + 1) * each], _Clock(advance)

@@ -187,7 +187,7 @@ class Evaluator:
         engine: That simulates them; `config.engine` when None.
         ensemble: Rate of temporal ensembling, 0 is off; `config.ensemble` when None.
         conditions: Under which the pairs are run.
-        seen: Cameras that training saw [C, 4, 4], which the pairs of `train` need.
+        trained_on: Cameras that training saw [C, 4, 4], which the pairs of `train` need.
     """
 
     def __init__(
@@ -197,9 +197,9 @@ class Evaluator:
         engine: str | None = None,
         ensemble: float | None = None,
         conditions: Conditions | None = None,
-        seen: np.ndarray | None = None,
+        trained_on: np.ndarray | None = None,
     ) -> None:
-        self.config, self.width, self.seen = config, width, seen
+        self.config, self.width, self.trained_on = config, width, trained_on
         self.ensemble = config.ensemble if ensemble is None else ensemble
         self.task = make_task(config.task)
         self.task.require()
@@ -339,7 +339,7 @@ class Evaluator:
 
     def pairs(self, split: str, numbers: Sequence[int]) -> Pairs:
         """The pairs of these numbers."""
-        return make_pairs(self.task, self.scene, self.config.views, split, numbers, self.seen)
+        return make_pairs(self.task, self.scene, self.config.views, split, numbers, self.trained_on)
 
 
 @dataclass(frozen=True)

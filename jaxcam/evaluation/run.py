@@ -53,14 +53,14 @@ def evaluate_run(config: EvaluateConfig, folder: Path, console: Console | None) 
     if config.protocol == "paper":
         steps, lacking = steps_to_judge(folder, inputs.config)
     policy = rebuild_policy(inputs)
-    cameras = None
+    trained_on = None
     if config.split == SEEN:
         data = next((str(side["data"]) for side in sides(folder).values()), None)
-        cameras = cameras_seen(inputs.config, data)
+        trained_on = cameras_seen(inputs.config, data)
     wanted = Wanted(config.split, config.pairs)
     for conditions in config.conditions(inputs.config.conditions):
         evaluator = Evaluator(
-            inputs.config, config.width, config.engine, config.ensemble, conditions, cameras
+            inputs.config, config.width, config.engine, config.ensemble, conditions, trained_on
         )
         rows = read_run_rows(folder)
         open_steps = [

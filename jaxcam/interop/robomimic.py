@@ -65,7 +65,7 @@ class Environment(NamedTuple):
 
 ENVIRONMENTS = {
     "Lift": Environment("lift"),
-    "LiftRand": Environment("lift", ObjectNames(seen=_SHEETS)),
+    "LiftRand": Environment("lift", ObjectNames(shown=_SHEETS)),
     "CanRand": Environment(
         "pick_place_can", ObjectNames({"can": "Can"}, {**_SHEETS, 2: "VisualCan"})
     ),

@@ -41,13 +41,13 @@ class ObjectNames:
 
     Attributes:
         moved: Their names of our objects, where these are others.
-        seen: Their names of what is seen and never touched, by our row of `fixtures`: 0 is the
+        shown: Their names of what is seen and never touched, by our row of `fixtures`: 0 is the
             table, 1 the room, then come the task's markers. Where a recording moves them, each
             hangs on a free joint that ours does not have.
     """
 
     moved: Mapping[str, str] = field(default_factory=dict)
-    seen: Mapping[int, str] = field(default_factory=dict)
+    shown: Mapping[int, str] = field(default_factory=dict)
 
     def joint(self, ours: str) -> str:
         """Their name of a joint of ours."""
@@ -70,7 +70,7 @@ class Origin:
     _qpos: np.ndarray = field(repr=False)
     _qvel: np.ndarray = field(repr=False)
     _free: np.ndarray = field(repr=False)
-    _seen: Mapping[int, int] = field(repr=False)
+    _shown: Mapping[int, int] = field(repr=False)
 
     def fixtures(self, state: np.ndarray, usual: np.ndarray, rows: Sequence[int]) -> np.ndarray:
         """Poses (xyz, wxyz) [k, 7] of what is seen, as far as a recorded state has them.
@@ -83,7 +83,7 @@ class Origin:
         """
         poses = usual.copy()
         for row in rows:
-            if (at := self._seen.get(row)) is None:
+            if (at := self._shown.get(row)) is None:
                 continue
             pose = state[1 + at : 1 + at + 7]
             rotation = self.world_from_theirs[:3, :3]
@@ -142,7 +142,7 @@ def read_origin(
     frame = theirs_from_base
     if (site := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "robot0_right_center")) >= 0:
         frame = _pose(data.site_xpos[site], data.site_xmat[site])
-    joints, seen = _match_joints(model, scene.physics, names)
+    joints, shown = _match_joints(model, scene.physics, names)
     origin = Origin(
         nq=model.nq,
         nv=model.nv,
@@ -154,7 +154,7 @@ def read_origin(
         _free=np.array(
             [(ours.qposadr[0], ours.dofadr[0]) for ours, _ in joints if len(ours.qpos0) == 7], int
         ).reshape(-1, 2),
-        _seen=seen,
+        _shown=shown,
     )
     _check_table(model, data, world_from_theirs)
     _check_grip(model, data, scene, origin, state)
@@ -248,18 +248,18 @@ def _match_joints(
         for i in range(ours.njnt)
     ]
     known = {theirs.joint(i).name: theirs.joint(i) for i in range(theirs.njnt)}
-    seen = {
+    shown = {
         row: int(joint.qposadr[0])
-        for row, name in names.seen.items()
+        for row, name in names.shown.items()
         if (joint := known.get(f"{name}_joint0")) is not None
         and joint.type[0] == mujoco.mjtJoint.mjJNT_FREE
     }
-    if len(pairs) + len(seen) != theirs.njnt or any(a.type[0] != b.type[0] for a, b in pairs):
+    if len(pairs) + len(shown) != theirs.njnt or any(a.type[0] != b.type[0] for a, b in pairs):
         raise DatasetError(
             f"joints {[theirs.joint(i).name for i in range(theirs.njnt)]}, but the scene has "
             f"{[a.name for a, _ in pairs]}. It is another task's or another robot's."
         )
-    return pairs, seen
+    return pairs, shown
 
 
 def _addresses(joints: list[tuple[Any, Any]], kind: str) -> np.ndarray:

@@ -22,6 +22,7 @@ from jaxcam.interrupts import Stopped, interrupts
 from jaxcam.models import Policy, PolicySpec, Stats, make_policy, policy_settings
 from jaxcam.models.policy import blank_stats
 from jaxcam.models.weights.load import Weights, load, record_weights
+from jaxcam.pipeline.plan import show_plan
 from jaxcam.pipeline.sources import Source, source_of
 from jaxcam.runs.folder import RunDir
 from jaxcam.runs.identity import resolve
@@ -47,6 +48,8 @@ def train(config: TrainConfig, console: Console | None = None) -> int:
     check_loggers(first.log)
     weights = starting_weights(source, configs)  # what cannot work is told before anything is made
     check_same("settings", to_json(replace(first, run_dir="", data_dir="", dataset="")))
+    if console:
+        show_plan(configs, console)
     with ExitStack() as stack:
         runs = [stack.enter_context(RunDir.open(c)) if is_first() else None for c in configs]
         try:

@@ -86,7 +86,7 @@ def draw_cameras(
     azimuth, elevation, rate, _ = cameras.T
     extent = (across[0], across[-1], up[0], up[-1])
     axes.imshow(
-        _smooth(cameras, across, up), origin="lower", extent=extent, aspect="auto", cmap=RATE,
+        smoothed_rate(cameras, across, up), origin="lower", extent=extent, aspect="auto", cmap=RATE,
         vmin=0, vmax=1, alpha=0.55, interpolation="bicubic",
     )  # fmt: skip
     won, lost = rate == 1, rate == 0
@@ -224,8 +224,17 @@ def _range(values: np.ndarray, low: float, high: float, step: float) -> np.ndarr
     return np.arange(low, high + step / 2, step)
 
 
-def _smooth(cameras: np.ndarray, across: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """Gaussian-kernel success rate on a grid; far from any camera it falls back to the mean."""
+def smoothed_rate(cameras: np.ndarray, across: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """Gaussian-kernel success rate on a grid; far from any camera it falls back to the mean.
+
+    Args:
+        cameras: From `rate_by_camera`.
+        across: Of the azimuth in degrees, the first and the last are the grid's limits.
+        up: Of the elevation.
+
+    Returns:
+        Rates [46, 91] by elevation, then azimuth, evenly spaced.
+    """
     x, y = np.linspace(across[0], across[-1], 91), np.linspace(up[0], up[-1], 46)
     azimuth, elevation, rate, count = cameras.T
     near = np.exp(-0.5 * ((x[:, None] - azimuth) / 18) ** 2)

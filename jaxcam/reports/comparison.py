@@ -67,7 +67,7 @@ WRITTEN = ("report.md", "report.tex", "report.csv", "rows.jsonl", "runs.json", "
 
 
 def write_comparison(
-    runs: Sequence[Run], out: Path, split: str = "test", seen: Sequence[Run] = ()
+    runs: Sequence[Run], out: Path, split: str = "test", memory: Sequence[Run] = ()
 ) -> Path:
     """Write a report of many runs.
 
@@ -75,7 +75,7 @@ def write_comparison(
         runs: From `read_runs`.
         out: Folder for report.html, report.md, report.tex, report.csv, figures/*.png, and the rows.
         split: Which pairs the rows are of.
-        seen: The same runs with their rows on cameras that training saw, which have a table of
+        memory: The same runs with their rows on cameras that training saw, which have a table of
             their own.
 
     Returns:
@@ -84,8 +84,8 @@ def write_comparison(
     Raises:
         ConfigError: The folder has rows that would be lost.
     """
-    every = [*runs, *seen]
-    check_replaces(out, every)
+    both = [*runs, *memory]
+    check_replaces(out, both)
     title = "Camera-conditioned policies: this code beside the paper"
     page = out / "report.html"
     if not page.exists():  # so that the folder is known as ours, whatever ends this
@@ -95,7 +95,7 @@ def write_comparison(
     blocks = [
         *_about(arms),
         *_main(arms, out),
-        *_seen(arms, group(seen)),
+        *_memory(arms, group(memory)),
         *_studies(arms, out),
         *pose_error_blocks(arms, out),
         *fovy_blocks(arms, out),
@@ -108,7 +108,7 @@ def write_comparison(
     write_atomically(out / "report.md", to_markdown(document))
     write_atomically(out / "report.tex", to_latex(document))
     write_atomically(out / "report.csv", to_csv(arms))
-    write_results(out, every)
+    write_results(out, both)
     write_atomically(page, to_html(document, out))
     return page
 
@@ -165,9 +165,9 @@ def _main(arms: Sequence[Arm], out: Path) -> list[Block]:
     return blocks
 
 
-def _seen(arms: Sequence[Arm], seen: Sequence[Arm]) -> list[Block]:
+def _memory(arms: Sequence[Arm], memory: Sequence[Arm]) -> list[Block]:
     """Success on cameras that training saw, beside that on held-out ones."""
-    table = seen_table(arms, seen)
+    table = seen_table(arms, memory)
     return [Heading("Memory and generalisation"), table] if table else []
 
 
@@ -282,9 +282,9 @@ def main(config: ReportConfig, console: Console) -> None:
         pack = write_pack(out, runs, config.split, about)
         written = f"Pack: {out} ({pack.manifest.digest[:8]})"
     else:
-        seen = read_runs(config.runs, SEEN) if config.split == "test" else []
-        seen = [run for run in seen if run.rows]
-        written = f"Report: {write_comparison(runs, out, config.split, seen)}"
+        memory = read_runs(config.runs, SEEN) if config.split == "test" else []
+        memory = [run for run in memory if run.rows]
+        written = f"Report: {write_comparison(runs, out, config.split, memory)}"
     for arm in group(run for run in runs if run.rows or not config.pack):
         console.print(plain_line(_in_words(arm)), soft_wrap=True)
     console.print(written, soft_wrap=True)

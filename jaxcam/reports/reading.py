@@ -262,8 +262,8 @@ def _check_pairs(runs: Iterable[Run]) -> None:
             if row.pair_sha is None:
                 continue
             # Pairs on cameras that training saw are the same where these are.
-            seen = _cameras_of(run.settings) if row.split == SEEN else ()
-            of_kind = (*kind, *seen, row.split, row.pair)
+            cameras = _cameras_of(run.settings) if row.split == SEEN else ()
+            of_kind = (*kind, *cameras, row.split, row.pair)
             known, other = first.setdefault(of_kind, (row.pair_sha, run))
             if known != row.pair_sha:
                 raise ConfigError(

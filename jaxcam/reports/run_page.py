@@ -63,8 +63,8 @@ def write_report(run_dir: str | Path) -> Path:
     # Rows of validation pairs serve to choose settings; they are no result.
     own = read_foreign_record(run) if has_foreign(run) else read_config(run)
     # Rows of other conditions are for reports, which set them side by side.
-    every = as_usual(latest_rows(read_run_rows(run)), own)
-    rows = [row for row in every if row.split == "test"]
+    of_all = as_usual(latest_rows(read_run_rows(run)), own)
+    rows = [row for row in of_all if row.split == "test"]
     newest = max((row.step for row in rows), default=0)
     shown = [row for row in rows if row.step == newest]
     about = _about_foreign(run, shown) if has_foreign(run) else _about(run_dir, shown, newest)
@@ -81,7 +81,7 @@ def write_report(run_dir: str | Path) -> Path:
         environment=_environment(run / "env.txt"),
         title=about.title,
         subtitle=about.subtitle,
-        facts=about.facts | _memory([row for row in every if row.split == SEEN]),
+        facts=about.facts | _memory([row for row in of_all if row.split == SEEN]),
         commands=[[shlex.quote(word) for word in line] for line in about.commands],
         settings=about.settings,
     )

@@ -128,8 +128,8 @@ def _number_or_text(value: Any) -> tuple[float, str]:
 def _compared(study: Study, arms: Sequence[Arm]) -> list[Arm]:
     """The arms whose conditioning is there at more than one value; all, of two conditionings."""
     if study.field == "conditioning":
-        told = {arm.settings["conditioning"] for arm in arms} - {"none"}
-        return list(arms) if len(told) > 1 else []
+        ways = {arm.settings["conditioning"] for arm in arms} - {"none"}
+        return list(arms) if len(ways) > 1 else []
     values: dict[str, set[Any]] = {}
     for arm in arms:
         values.setdefault(arm.way, set()).add(arm.setting(study.field))

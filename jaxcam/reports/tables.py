@@ -34,19 +34,19 @@ def twins_of(arms: Sequence[Arm]) -> list[tuple[Arm, ImageOnly]]:
 
 def without_twins(arms: Sequence[Arm]) -> list[str]:
     """What is said of arms whose image-only runs are of another network; no gain is shown there."""
-    image_only, found = ImageOnlyArms(arms), dict[tuple[str, str], set[str]]()
+    image_only, kinds = ImageOnlyArms(arms), dict[tuple[str, str], set[str]]()
     count = Counter[tuple[str, str]]()
     for arm in (arm for arm in arms if arm.estimate.n):
         if others := {other.way for other in image_only.others(arm) if other.estimate.n}:
             kind = arm.settings["policy"], arm.settings["conditioning"]
-            found.setdefault(kind, set()).update(others)
+            kinds.setdefault(kind, set()).update(others)
             count[kind] += 1
     return [
         f"No gain is shown of {paper.policy_title(policy)}, {way}, in {count[policy, way]} "
         f"{'settings' if count[policy, way] > 1 else 'setting'}: the image-only runs are of "
         f"another network ({', '.join(sorted(others))}). The twin is trained with --conditioning "
         f"none --model twin_of={way}."
-        for (policy, way), others in found.items()
+        for (policy, way), others in kinds.items()
     ]
 
 
@@ -147,25 +147,25 @@ def foreign_table(arms: Sequence[Arm]) -> Table | None:
     return Table(caption, head, rows, rules, folded=len(rows) > 40) if rows else None
 
 
-def seen_table(arms: Sequence[Arm], seen: Sequence[Arm]) -> Table | None:
+def seen_table(arms: Sequence[Arm], memory: Sequence[Arm]) -> Table | None:
     """Success on cameras that training saw and on held-out ones, in columns of their own.
 
     Args:
         arms: With their rows on held-out pairs.
-        seen: With their rows on new starts and cameras that training saw; of the same checkpoints
+        memory: With their rows on new starts and cameras that training saw; of the same checkpoints
             both are shown.
     """
-    base, rows = ImageOnlyArms(seen), list[list[str]]()
+    base, rows = ImageOnlyArms(memory), list[list[str]]()
     held_out = {context(arm): arm for arm in arms}
-    for arm in (a for some in by_task(seen).values() for a in some if a.estimate.n):
+    for arm in (a for some in by_task(memory).values() for a in some if a.estimate.n):
         steps = {row.step for row in arm.rows}
         others = [r for r in getattr(held_out.get(context(arm)), "rows", []) if r.step in steps]
-        memory, result = arm.estimate, success_rate(others)
-        gap = gap_between(result, memory) if result.n else None
+        known, result = arm.estimate, success_rate(others)
+        gap = gap_between(result, known) if result.n else None
         rows.append([
             paper.policy_title(arm.settings["policy"]), _task(arm), arm.way,
-            arm.label("conditioning"), _rate(memory.value, memory.low, memory.high),
-            f"{memory.n}", _rate(result.value, result.low, result.high), f"{result.n}",
+            arm.label("conditioning"), _rate(known.value, known.low, known.high),
+            f"{known.n}", _rate(result.value, result.low, result.high), f"{result.n}",
             "{:+.1f} [{:+.1f}, {:+.1f}]".format(*(100 * x for x in gap)) if gap else NONE,
             _over(arm, base.of(arm)),
         ])  # fmt: skip

@@ -37,6 +37,10 @@ class LensPainter:
         """What makes its pictures differ from another painter's."""
         return f"{self._painter.look()}-lens{SCALE}x"
 
+    def draws(self, world: Any) -> bool:
+        """As the painter whose pictures it samples."""
+        return self._painter.draws(world)
+
     def uses_all_cores(self) -> bool:
         """As the painter whose pictures it samples."""
         return self._painter.uses_all_cores()

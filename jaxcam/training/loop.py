@@ -8,6 +8,7 @@ import jax
 from rich.console import Console
 
 from jaxcam.config.train import TrainConfig
+from jaxcam.console.paces import training_job
 from jaxcam.console.progress import progress
 from jaxcam.data.batches import Dataset
 from jaxcam.devices import from_first, gathered, memory_lacks
@@ -122,10 +123,11 @@ class Trainer:
         config, first, stopping = self.config, runs[0].step, False
         group = SideBySide(runs, config, self.policy, self._tx)
         seeds = [run.seed for run in runs]
+        job = training_job(config, len(runs))
         stream = batches(self.dataset, config, seeds, range(first, goal), **self._sizes)
         with (
             contextlib.closing(stream),
-            progress(self.console, "training", config.steps, done=first) as advance,
+            progress(self.console, "training", config.steps, done=first, job=job) as advance,
         ):
             for step, batch in stream:
                 group.update(batch)

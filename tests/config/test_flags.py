@@ -51,7 +51,7 @@ def test_bad_flags_exit_with_2_and_help(flags, message, capsys):
 
 def test_help_shows_choices_and_presets(capsys):
     with pytest.raises(SystemExit) as stop:
-        parse(TrainConfig, ["--help"])
+        parse(TrainConfig, ["--help", "all"])
     assert stop.value.code == 0
     shown = " ".join(capsys.readouterr().out.replace("│", " ").split())
     assert "--conditioning {none,token,early,late,keypoints,warp,prope,gta,ray_rope}" in shown
@@ -59,6 +59,28 @@ def test_help_shows_choices_and_presets(capsys):
     assert "None" not in shown
     for field in dataclasses.fields(TrainConfig):
         assert re.search(rf"--{field.name.replace('_', '-')}[ ,]", shown)
+
+
+@pytest.mark.parametrize("kind", [TrainConfig, EvaluateConfig])
+def test_help_is_by_groups_which_fit_a_screen(kind, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    shown = {}
+    for group in kind.GROUPS:
+        with pytest.raises(SystemExit, match="0"):
+            parse(kind, ["--help", group] if group else ["-h"])
+        shown[group] = capsys.readouterr().out
+        assert len(shown[group].splitlines()) <= (50 if group else 45), group
+    assert "--help all" in shown[""]
+    names = {name for fields in kind.GROUPS.values() for name in fields.split()}
+    assert names == {field.name for field in dataclasses.fields(kind)}
+
+
+def test_a_group_s_help_has_its_settings_and_no_others(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        parse(TrainConfig, ["--steps", "3", "--help", "updates"], prog="train")
+    shown = capsys.readouterr().out.partition("-h, --help")[2]
+    flags = re.findall(r"^\W*--(?:no-)?([a-z0-9-]+)", shown, re.MULTILINE)
+    assert [f.replace("-", "_") for f in flags] == TrainConfig.GROUPS["updates"].split()
 
 
 def test_help_is_fast_and_imports_no_jax():

@@ -3,7 +3,11 @@
 import ast
 import io
 import logging
+import os
+import pty
 import re
+import subprocess
+import sys
 
 import pytest
 from places import REPO
@@ -89,3 +93,38 @@ def test_lines_and_boxes_stay():
         console.print(Panel("two\nlines"), "and more", end="!\n")
         written.append(console.file.getvalue())
     assert written[0] == written[1]
+
+
+COLOURED = "from jaxcam.train import COMMAND; COMMAND.run({argv!r})"
+
+
+@pytest.mark.parametrize("argv", [["--help"], ["--seed", "-1"]])
+@pytest.mark.parametrize(
+    ("variables", "is_coloured"),
+    [({"TERM": "xterm-256color"}, True), ({"TERM": "dumb"}, False), ({"NO_COLOR": "1"}, False)],
+)
+def test_colours_are_off_where_the_terminal_says_so(argv, variables, is_coloured):
+    """In a terminal; without one there are none either."""
+    program = [sys.executable, "-c", COLOURED.format(argv=argv)]
+    clean = {k: v for k, v in os.environ.items() if k not in ("NO_COLOR", "FORCE_COLOR")}
+    main, end = pty.openpty()
+    with subprocess.Popen(
+        program, stdout=end, stderr=end, env=clean | {"TERM": "xterm-256color"} | variables
+    ):
+        os.close(end)
+        shown = b""
+        while part := _some(main):
+            shown += part
+    os.close(main)
+    assert b"seed" in shown
+    assert bool(re.search(rb"\x1b\[[0-9;]*3[0-9]", shown)) == is_coloured
+    piped = subprocess.run(program, capture_output=True, env=clean | variables)
+    assert b"\x1b" not in piped.stdout + piped.stderr
+
+
+def _some(descriptor):
+    """What a terminal shows next; nothing when its program has ended."""
+    try:
+        return os.read(descriptor, 1 << 16)
+    except OSError:
+        return b""

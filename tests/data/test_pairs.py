@@ -29,14 +29,14 @@ def test_pairs_of_train_are_new_starts_on_cameras_of_the_demonstrations(lift, sc
     config = TrainConfig(
         n=2, m=1, demos=demos.header.train, dataset=str(demos.path), preset="laptop"
     )
-    seen = cameras_seen(resolve(config, accelerator=False), demos.fingerprint)
+    known = cameras_seen(resolve(config, accelerator=False), demos.fingerprint)
     held_out = demos.header.valid
-    np.testing.assert_array_equal(seen, demos.header.world_from_camera[:-held_out])
+    np.testing.assert_array_equal(known, demos.header.world_from_camera[:-held_out])
     n, m = demos.header.n, demos.header.m
     drawn = replace(config, dataset="", n=n, m=m)  # without the file: they follow from the numbers
-    np.testing.assert_allclose(cameras_seen(resolve(drawn, accelerator=False)), seen, atol=1e-9)
-    pairs = make_pairs(lift, scene, 1, "train", [0, 1, len(seen)], seen)
-    np.testing.assert_array_equal(pairs.cameras[:, 0], seen[[0, 1, 0]])
+    np.testing.assert_allclose(cameras_seen(resolve(drawn, accelerator=False)), known, atol=1e-9)
+    pairs = make_pairs(lift, scene, 1, "train", [0, 1, len(known)], known)
+    np.testing.assert_array_equal(pairs.cameras[:, 0], known[[0, 1, 0]])
     taken = {demo.seed for demo in demos.episodes}
     assert not taken & set(pairs.seeds)
     for seeds in SPLITS.values():  # nobody evaluates on a million pairs

@@ -160,10 +160,10 @@ def test_memory_stands_beside_generalisation_and_in_no_number_with_it(tmp_path):
     """Success on cameras that training saw, of an arm and of its twin."""
     folder, out = tmp_path / "runs", tmp_path / "out"
     twin = {"conditioning": "none", "model": ("twin_of=late",)}
-    for name, held_out, seen, settings in (
+    for name, held_out, known, settings in (
         ("none", 0.25, 0.5, twin), ("late", 0.5, 1.0, {"conditioning": "late"})
     ):  # fmt: skip
-        made = make_run(folder / name, rate=seen, split="train", **settings)
+        made = make_run(folder / name, rate=known, split="train", **settings)
         rows = made / "eval" / "rows.jsonl"
         seen_rows = rows.read_text()
         shutil.rmtree(made)

@@ -53,9 +53,9 @@ def test_what_counts_and_what_is_lacking():
 
 def test_what_was_seen_in_training_is_no_result():
     small = Protocol(seeds=1, checkpoints=1, pairs=3)
-    seen = [replace(row, split="train") for row in rows_at(40, 3)]
+    known = [replace(row, split="train") for row in rows_at(40, 3)]
     assert lacks([rows_at(40, 3)], small, 40) == []
-    assert lacks([seen], small, 40) == ["on cameras that training saw: no result"]
+    assert lacks([known], small, 40) == ["on cameras that training saw: no result"]
 
 
 def test_a_setting_is_trained_as_long_as_the_seed_that_is_least():

@@ -72,7 +72,7 @@ def _decode(
     demos, _, cameras = layout.where(missing)
     films = sorted(set(zip(demos.tolist(), cameras.tolist(), strict=True)))
     total = sum(int(layout.lengths[demo]) for demo, _ in films)
-    with progress(console, "decoding", total) as advance:
+    with progress(console, "decoding", total, job="decoding") as advance:
         for demo, camera in films:
             part = parts.all[demo]
             view = part.views[camera]

@@ -245,6 +245,8 @@ class SmolVla(nnx.Module):
         config = self.config
         if self.tower is not None:
             return self.tower(obs)
+        assert self.vision is not None, "one of the two sees"
+        assert self.connector is not None
         pictures = canonical_images(config, obs) if config.network == "warp" else obs["image"]
         pictures = pictures.reshape(-1, *pictures.shape[2:])
         x = pictures.astype(jnp.float32) / 127.5 - 1

@@ -84,8 +84,8 @@ def make_smolvla(config: SmolVlaConfig, spec: PolicySpec, stats: Stats) -> Polic
         if net.keyframe is None:
             return total, {"loss": total}
         keyframe = keyframe_deviation(stats).normalised(batch["keyframe"])
-        told = net.keyframe(prefix.summary.astype(jnp.float32)).reshape(keyframe.shape)
-        error = padded_mean(jnp.abs(told - keyframe), is_pad, "valid")
+        answer = net.keyframe(prefix.summary.astype(jnp.float32)).reshape(keyframe.shape)
+        error = padded_mean(jnp.abs(answer - keyframe), is_pad, "valid")
         total += config.keyframe_weight * error
         return total, {"loss": total, "velocity": velocity, "keyframe": error}
 

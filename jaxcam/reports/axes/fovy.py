@@ -4,6 +4,7 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -170,5 +171,5 @@ def _draw(axes: Axes, curve: FovyCurve) -> None:
     axes.fill_between(x, low, high, color=colour, alpha=0.13, linewidth=0)
 
 
-def _style(curve: FovyCurve) -> str:
+def _style(curve: FovyCurve) -> Literal["--", "-"]:
     return "--" if curve.arm.settings.get("rays_from") == "nominal" else "-"

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -191,7 +191,7 @@ def _line(axes: Axes, curve: ErrorCurve, axis: str) -> None:
         axes.axhspan(e.low, e.high, color=GREY, alpha=0.07, linewidth=0)
 
 
-def _style(curve: ErrorCurve) -> str:
+def _style(curve: ErrorCurve) -> Literal["--", "-"]:
     return "--" if curve.clean.settings.get("pose_noise") else "-"
 
 

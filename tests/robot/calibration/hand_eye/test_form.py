@@ -10,7 +10,6 @@ from tagged import VIEW, drawn_tags, eye, write_dataset
 from web_page import Page
 
 from jaxcam.interop.cameras.files import read_cameras
-from jaxcam.interop.recordings import read_recording
 from jaxcam.robot.calibration.projection import apart, moved, pose_of
 
 SIZE, AIM = 0.08, np.array([0.45, 0.0, 0.2])
@@ -89,29 +88,3 @@ def test_what_is_wrong_is_said(place, capsys, more, match):
     assert exit_code(*words) in (2, 3)
     assert match in " ".join(capsys.readouterr().err.replace("│", " ").split())
     assert not (place / "hand-eye-front.html").exists()
-
-
-def test_a_camera_on_the_hand_gets_poses_that_move_with_it(tmp_path, monkeypatch, film, capsys):
-    """A tag that stands, and its pictures from the hand: 25 cm above it."""
-    monkeypatch.chdir(tmp_path)
-    states = [np.array(some) for some in film[0]]
-    poses = [
-        pose_of(Rotation.from_rotvec(some[:, 3:]).as_matrix(), some[:, :3].astype(float))
-        for some in states
-    ]
-    on_hand = moved(np.eye(4), np.array([0.03, 0.01, -0.1, 0.1, -0.05, 0.2]))
-    stands = pose_of(Rotation.from_euler("z", 0.5).as_matrix(), AIM * [1, 1, 0])
-    pictures = [
-        np.repeat(drawn_tags(list(some[::3] @ on_hand), {5: stands}, i), 3, 0)
-        for i, some in enumerate(poses)
-    ]
-    (tmp_path / "cameras.json").write_text(json.dumps({"format": 1, "views": {"front": VIEW}}))
-    write_dataset(tmp_path / "data", monkeypatch, pictures, states, NAMES)
-    assert exit_code(*ASKED, "--mount", "grip") == 0
-    assert "camera on the grip" in Page(tmp_path / "hand-eye-front.html").text
-    recording = read_recording(tmp_path / "data", tmp_path / "cameras.json")
-    for episode, some in zip(recording.episodes, poses, strict=True):
-        got = episode.sights["front"].calibration.base_from_camera
-        distance, angle = apart(got, some @ on_hand)
-        assert distance.max() < 0.003
-        assert angle.max() < np.deg2rad(0.5)

@@ -1,0 +1,1 @@
+"""The viewer: robots, cameras, rays and pictures of any source in a browser."""
