@@ -325,7 +325,7 @@ def _lines(arms: Sequence[Arm], policy: str, conditioned: bool) -> list[tuple[st
                 first.label(*_OF_TASK),
                 *_steps([*by_name.values()]),
             ]
-            source = "\n".join(textwrap.fill(line, 26) for line in words)
+            source = "\n".join(textwrap.fill(line, 30) for line in words)
             lines.append((source, by_name))
     return lines
 

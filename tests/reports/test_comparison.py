@@ -177,7 +177,8 @@ def test_memory_stands_beside_generalisation_and_in_no_number_with_it(tmp_path):
     assert cells[6].startswith("50.0 [")
     assert cells[8].startswith("-50.0 [")
     assert cells[9].startswith("+50.0 [")
-    gains = [row for row in text.splitlines() if "its twin" in row]
+    gains = [row for row in text.splitlines() if "| its twin |" in row]
+    assert gains
     assert not any("100.0" in row for row in gains)
     assert all("| 8 |" in row for row in gains)  # pairs, of held-out cameras alone
     # The report keeps both, and says the same when it is read again.
