@@ -21,7 +21,8 @@ def benchmark(out, *flags, **env):
     return done, json.loads(out.read_text())
 
 
-@pytest.mark.timeout(1200)
+@pytest.mark.slow  # it compiles all there is: rollouts in one program, updates of three policies
+@pytest.mark.timeout(2400)
 def test_every_section_measures_at_toy_sizes(tmp_path):
     done, result = benchmark(tmp_path / "gpu.json", "--peak", "0.5")
     sections = {section["name"]: section for section in result["sections"]}

@@ -138,12 +138,12 @@ if __name__ == "__main__":
 
 def test_a_worker_does_not_outlive_a_parent_that_is_killed(tmp_path):
     (script := tmp_path / "pool.py").write_text(POOL)
-    parent = subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True)
-    assert parent.stdout is not None
-    worker = int(parent.stdout.readline())
-    os.kill(worker, signal.SIGINT)
-    parent.kill()
-    parent.wait()
+    command = [sys.executable, script]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        worker = int(parent.stdout.readline())
+        os.kill(worker, signal.SIGINT)
+        parent.kill()
     until = time.monotonic() + 20
     while os.path.exists(f"/proc/{worker}/stat") and time.monotonic() < until:
         time.sleep(0.05)

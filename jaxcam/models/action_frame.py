@@ -66,7 +66,7 @@ def in_action_frame(policy: Policy) -> Policy:
         ConfigError: Actions have no pose.
     """
     config: CameraConfig = policy.config
-    if config.action_frame == "base":
+    if getattr(config, "action_frame", "base") == "base":  # not every family knows of frames
         return policy
     if policy.spec.action_dim < 6:
         raise ConfigError(

@@ -114,7 +114,7 @@ class PairsEvaluator:
     conditions = Conditions()
 
     def __init__(self):
-        self.task = type("Task", (), {"horizon": 3})
+        self.task = type("Task", (), {"name": "lift", "horizon": 3})
         self.ran = []
 
     def finishes(self, pair):

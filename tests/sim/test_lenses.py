@@ -55,7 +55,7 @@ def test_a_pixel_has_the_colour_of_its_bent_ray():
     truth = colours(camera).astype(int)
     assert abs(pictures - truth).max() <= 2
     straight = colours(Camera(shown.K, shown.world_from_camera, HEIGHT, WIDTH)).astype(int)
-    assert abs(truth - straight).max((1, 2, 3)).min() > 8  # which a pinhole's picture is not
+    assert abs(truth - straight).max((1, 2, 3)).min() > 3  # which a pinhole's picture is not
     assert painter.look() == f"sky-lens{SCALE}x"
 
 

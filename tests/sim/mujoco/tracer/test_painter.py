@@ -77,7 +77,7 @@ def test_any_number_of_threads_draws_the_same(lift, scene, monkeypatch):
     many = draw(view)
     monkeypatch.setattr(painter_module, "_cores", lambda: 1)
     np.testing.assert_array_equal(draw(view), many)
-    assert draw(View(*(x[:0] for x in view))).shape == (0, PIXELS, PIXELS, 3)
+    assert draw(View(*(x[:0] for x in view[:5]))).shape == (0, PIXELS, PIXELS, 3)
 
 
 def test_what_it_does_not_know_is_left_to_mjx(scene):
