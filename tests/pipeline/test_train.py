@@ -40,7 +40,7 @@ TOY = {
     "smolvla": (
         "tiny",
         ("chunk=4", "image_size=32", "layers=1", "vision_layers=1", "remat=False",
-         "conditioning=token", "twin_of=token"),
+         "conditioning=token"),
     ),
 }  # fmt: skip
 """Preset and changes with which a policy compiles in seconds."""
