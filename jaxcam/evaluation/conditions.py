@@ -52,12 +52,15 @@ class ConditionedPairs:
         world: Where.
         conditions: Which.
         rays_from: Whether policies are told the intrinsics of their cameras, or the usual ones.
+        cameras: After how many cameras the first comes again, as in the pairs of `train`; never
+            if None.
     """
 
     task: Task
     world: World
     conditions: Conditions
     rays_from: RaysFrom = "true"
+    cameras: int | None = None
 
     def seen(
         self, pairs: Pairs, split: str, numbers: Sequence[int], size: tuple[int, int]
@@ -74,8 +77,9 @@ class ConditionedPairs:
         usual = np.broadcast_to(intrinsics(self.task.fovy_deg, *size), (count, views, 3, 3))
         K, lens, fovy = usual, None, None
         if ranges := optics_ranges(self.conditions, self.task.fovy_deg):
-            drawn = sample_optics(ranges, views * (max(numbers) + 1), _seed(split))
             rows = views * np.array(numbers)[:, None] + np.arange(views)
+            rows = rows % self.cameras if self.cameras else rows
+            drawn = sample_optics(ranges, int(rows.max()) + 1, _seed(split))
             K = at_size(drawn[0], *size)[rows]
             lens = None if drawn[1] is None else drawn[1][rows]
             fovy = np.rad2deg(2 * np.arctan(0.5 / drawn[0][rows[:, 0], 1, 1]))

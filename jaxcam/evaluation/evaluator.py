@@ -217,7 +217,10 @@ class Evaluator:
             engine=self.engine_name,
             lenses=bool(self.conditions.lens),
         )
-        self._seen = ConditionedPairs(self.task, self.scene, self.conditions, config.rays_from).seen
+        known = None if trained_on is None else len(trained_on)
+        self._seen = ConditionedPairs(
+            self.task, self.scene, self.conditions, config.rays_from, known
+        ).seen
 
     def run(
         self,

@@ -5,8 +5,9 @@ import pytest
 
 from jaxcam.config.conditions import Conditions
 from jaxcam.data.pairs import make_pairs
+from jaxcam.data.splits import TRAIN_CAMERAS
 from jaxcam.evaluation.conditions import ConditionedPairs
-from jaxcam.rays import invert
+from jaxcam.rays import invert, sample_poses
 from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.rays.rotations import rotvec_from_matrix
 from jaxcam.sim import make_task
@@ -83,3 +84,21 @@ def test_fields_of_view_are_drawn_and_told(world):
 def test_with_nominal_rays_the_usual_k_is_told(world):
     claimed = seen(world, fovy="25:75", rays_from="nominal")[0].claimed
     assert np.array_equal(claimed.K[0, 0], intrinsics(45.0, *SIZE))
+
+
+def test_cameras_that_training_saw_come_again_with_what_they_had(world):
+    task, scene = world
+    known = sample_poses(task.cameras, 3, TRAIN_CAMERAS)
+    pairs = make_pairs(task, scene, 1, "train", range(5), known)
+    conditions = Conditions(fovy="30:60", lens="opencv:-0.2:0")
+    shown = ConditionedPairs(task, scene, conditions, cameras=3).seen(
+        pairs, "train", range(5), SIZE
+    )
+    lens, fovy = shown.lens, shown.fovy_deg
+    assert lens is not None
+    assert fovy is not None
+    assert np.array_equal(pairs.cameras[3:], pairs.cameras[:2])
+    assert np.array_equal(shown.K[3:], shown.K[:2])
+    assert np.array_equal(lens[3:], lens[:2])
+    assert np.array_equal(fovy[3:], fovy[:2])
+    assert len(np.unique(fovy)) == 3
