@@ -21,7 +21,7 @@ from jaxcam.results.rows import Row
 from jaxcam.results.stats import latest_rows
 from jaxcam.runs.foreign import ForeignRecord, has_foreign, read_foreign_record
 from jaxcam.runs.identity import RECORDED, read_config
-from jaxcam.runs.rollouts import read_run_rows
+from jaxcam.runs.rollouts import as_usual, read_run_rows
 from jaxcam.sim import make_task
 from jaxcam.sim.controllers import CONTROL_HZ
 from jaxcam.sim.mujoco.scene import Scene
@@ -38,7 +38,7 @@ class Rolled:
     Attributes:
         folder: Of the run.
         config: Its settings.
-        rows: Of one split, the newest of each rollout.
+        rows: Of one split under the run's own conditions, the newest of each rollout.
     """
 
     folder: Path
@@ -66,7 +66,7 @@ class Rolled:
             )
         rows = [
             row
-            for row in latest_rows(read_run_rows(folder))
+            for row in as_usual(latest_rows(read_run_rows(folder)), config)
             if row.split == split and (step is None or row.step == step) and row.finished
         ]
         if not rows:
@@ -122,7 +122,9 @@ class Rolled:
         try:
             inputs = load_policy_inputs(self.folder, row.step)
             candidate = Candidate(rebuild_policy(inputs), inputs.params, self.folder, row.step)
-            evaluator = Evaluator(inputs.config, row.width or 50, row.engine, row.ensemble)
+            evaluator = Evaluator(
+                inputs.config, row.width or 50, row.engine, row.ensemble, inputs.config.conditions
+            )
             (anew,), done = evaluator.run(candidate, row.split, [row.pair], check_stop)
         except JaxcamError as error:
             why = f"Viewed is the start only, since the rollout cannot be made anew: {error}"
