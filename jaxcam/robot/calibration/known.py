@@ -1,11 +1,26 @@
-"""What a file of calibrations already says of a view: how it sees."""
+"""What is known of a view before it is calibrated: that it is there, and how it sees."""
 
 from pathlib import Path
 
+from jaxcam.data.recorded.recording import Recording
 from jaxcam.errors import ConfigError, closest
 from jaxcam.interop.calibrations import IMAGES
 from jaxcam.interop.cameras.files import CamerasFile, read_cameras
 from jaxcam.interop.cameras.optics import Optics
+
+
+def require_view(view: str, recording: Recording) -> None:
+    """Refuses a name that is none of the dataset's views.
+
+    Args:
+        view: What was given as --view.
+        recording: The dataset.
+
+    Raises:
+        ConfigError: It has no such view.
+    """
+    if view not in recording.views:
+        raise ConfigError(f"--view: unknown {view!r}{closest(view, recording.views)}")
 
 
 def optics_of_view(cameras: Path, view: str, size: tuple[int, int]) -> Optics:

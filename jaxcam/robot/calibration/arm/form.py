@@ -7,7 +7,7 @@ from rich.console import Console
 
 from jaxcam.config.calibrate_arm import ArmConfig
 from jaxcam.data.recorded.recording import Recording
-from jaxcam.errors import ConfigError, DatasetError, closest
+from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.files.paths import absolute
 from jaxcam.interop.cameras.writing import (
     Changes,
@@ -23,6 +23,7 @@ from jaxcam.robot.calibration.arm.model import ArmModel, load_arm
 from jaxcam.robot.calibration.arm.shooting import optics_for, read_masks, take_film
 from jaxcam.robot.calibration.arm.showing import contour_overlays, edge_figure
 from jaxcam.robot.calibration.figures import space_figure
+from jaxcam.robot.calibration.known import require_view
 from jaxcam.robot.calibration.page import (
     CalibrationPage,
     page_path,
@@ -48,8 +49,7 @@ def calibrate_arm(config: ArmConfig, console: Console) -> None:
     check_updatable(cameras)
     path = page_path(config.out, cameras, "arm", config.view)
     recording = read_recording(absolute(config.dataset))
-    if config.view not in recording.views:
-        raise ConfigError(f"--view: unknown {config.view!r}{closest(config.view, recording.views)}")
+    require_view(config.view, recording)
     columns = joint_numbers(recording, config.joints, config.opening)
     masks = read_masks(absolute(config.masks)) if config.masks else None
     optics = optics_for(recording, config.view, cameras)

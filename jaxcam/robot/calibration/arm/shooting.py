@@ -49,9 +49,11 @@ def optics_for(recording: Recording, view: str, cameras: Path) -> Optics:
     if sight.calibration is not None:
         K, lens = sight.calibration.K, sight.calibration.distortion
         return Optics(np.reshape(K, (-1, 3, 3))[0].astype(float), *size, np.asarray(lens))
-    assert sight.placement is not None
-    assert sight.placement.K is not None
-    return Optics(sight.placement.K.astype(float), *size, np.zeros(9))
+    placement = sight.placement
+    assert placement is not None
+    assert placement.K is not None
+    lens = np.zeros(9) if placement.distortion is None else placement.distortion
+    return Optics(placement.K.astype(float), *size, lens)
 
 
 def chosen_steps(angles: np.ndarray, most: int) -> np.ndarray:

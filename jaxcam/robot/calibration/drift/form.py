@@ -11,7 +11,7 @@ from rich.console import Console
 from jaxcam.config.calibrate_arm import DriftConfig
 from jaxcam.console.progress import progress
 from jaxcam.data.recorded.recording import Recording, Sight
-from jaxcam.errors import ConfigError, closest
+from jaxcam.errors import ConfigError
 from jaxcam.files.paths import absolute
 from jaxcam.interop.cameras.optics import Optics
 from jaxcam.interop.cameras.writing import Changes, check_updatable, pose_json, update_cameras
@@ -32,6 +32,7 @@ from jaxcam.robot.calibration.drift.change import (
     with_common_joints,
 )
 from jaxcam.robot.calibration.figures import space_figure
+from jaxcam.robot.calibration.known import require_view
 from jaxcam.robot.calibration.page import CalibrationPage, page_path, spread_out, write_calibration
 
 
@@ -63,8 +64,8 @@ def calibrate_drift(config: DriftConfig, console: Console) -> None:
     check_updatable(cameras)
     path = page_path(config.out, cameras, "drift", config.view)
     recording = read_recording(absolute(config.dataset), cameras if cameras.exists() else None)
-    if config.view and config.view not in recording.views:
-        raise ConfigError(f"--view: unknown {config.view!r}{closest(config.view, recording.views)}")
+    if config.view:
+        require_view(config.view, recording)
     columns = joint_numbers(recording, config.joints, config.opening)
     arm = arm_for(config.robot, columns)
     views = [config.view] if config.view else list(recording.views)

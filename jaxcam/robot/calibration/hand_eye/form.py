@@ -7,7 +7,7 @@ from rich.console import Console
 
 from jaxcam.config.calibrate import HandEyeConfig
 from jaxcam.data.recorded.recording import Recording
-from jaxcam.errors import ConfigError, DatasetError, closest
+from jaxcam.errors import DatasetError
 from jaxcam.files.paths import absolute
 from jaxcam.interop.cameras.grips import GripEntries, grip_numbers
 from jaxcam.interop.cameras.optics import Optics
@@ -24,7 +24,7 @@ from jaxcam.robot.calibration.figures import residual_figure, space_figure
 from jaxcam.robot.calibration.hand_eye.faults import Case, Delay, delay_of, fit_shots, is_late
 from jaxcam.robot.calibration.hand_eye.fit import HandEyeFit, turns_of
 from jaxcam.robot.calibration.hand_eye.shots import board_of, take_shots
-from jaxcam.robot.calibration.known import optics_of_view
+from jaxcam.robot.calibration.known import optics_of_view, require_view
 from jaxcam.robot.calibration.page import (
     CalibrationPage,
     overlay,
@@ -53,8 +53,7 @@ def calibrate_hand_eye(config: HandEyeConfig, console: Console) -> None:
     check_updatable(cameras)
     path = page_path(config.out, cameras, "hand-eye", config.view)
     recording = read_recording(absolute(config.dataset))
-    if config.view not in recording.views:
-        raise ConfigError(f"--view: unknown {config.view!r}{closest(config.view, recording.views)}")
+    require_view(config.view, recording)
     grip = GripEntries(config.grip_pose, config.rotation, config.delay_ms)
     columns = grip_numbers(recording.state_names, grip)
     optics = _optics(recording, config.view, cameras)

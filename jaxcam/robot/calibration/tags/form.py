@@ -8,7 +8,7 @@ from rich.console import Console
 
 from jaxcam.config.calibrate import TagsConfig
 from jaxcam.data.recorded.recording import Recording, Sight
-from jaxcam.errors import ConfigError, DatasetError, closest
+from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.files.paths import absolute
 from jaxcam.interop.cameras.optics import Optics
 from jaxcam.interop.cameras.writing import (
@@ -20,7 +20,7 @@ from jaxcam.interop.cameras.writing import (
 )
 from jaxcam.interop.recordings import is_recording, read_recording
 from jaxcam.robot.calibration.figures import residual_figure, space_figure
-from jaxcam.robot.calibration.known import optics_of_view
+from jaxcam.robot.calibration.known import optics_of_view, require_view
 from jaxcam.robot.calibration.page import (
     CalibrationPage,
     page_path,
@@ -99,8 +99,8 @@ def _of_recording(
 ) -> tuple[list[Located], list[str]]:
     """The poses of a dataset's views in each episode: one for all where it never moved."""
     recording = read_recording(path)
-    if config.view and config.view not in recording.views:
-        raise ConfigError(f"--view: unknown {config.view!r}{closest(config.view, recording.views)}")
+    if config.view:
+        require_view(config.view, recording)
     views = (config.view,) if config.view else recording.views
     located, notes, reasons = [], [], []
     for view in views:

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxcam.data.recorded.recording import Calibration, Episode, Recording, Sight
+from jaxcam.data.recorded.recording import Calibration, Episode, Placement, Recording, Sight
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.interop.cameras.optics import Optics
 from jaxcam.rays.lens import distort, pack
@@ -22,9 +22,9 @@ K = np.array([[100.0, 0, 60], [0, 100, 40], [0, 0, 1]])
 OPTICS = Optics(K, 120, 80, np.zeros(9))
 
 
-def recording(length=6, shape=(80, 120, 3), calibration=None):
+def recording(length=6, shape=(80, 120, 3), calibration=None, placement=None):
     pictures = [np.full(shape, 20 * t, np.uint8) for t in range(length)]
-    sight = Sight(80, 120, lambda: iter(pictures), calibration)
+    sight = Sight(80, 120, lambda: iter(pictures), calibration, placement)
     state = np.linspace(0, 1, length)[:, None].astype(np.float32)
     return Recording(
         Path("cups"), ("front",), ("joint_1",), (), 10.0,
@@ -76,6 +76,11 @@ def test_large_pictures_become_smaller_as_their_intrinsics():
 def test_the_datasets_own_optics(tmp_path):
     own = recording(calibration=Calibration(K, np.eye(4)))
     np.testing.assert_array_equal(optics_for(own, "front", tmp_path / "none.json").K, K)
+    lens = pack(np.array([-0.2, 0.05, 0, 0]), "opencv")
+    format_says = recording(placement=Placement(None, "", K, "metadata", lens))
+    optics = optics_for(format_says, "front", tmp_path / "none.json")
+    np.testing.assert_array_equal(optics.K, K)
+    np.testing.assert_array_equal(optics.distortion, lens)
     with pytest.raises(ConfigError, match="A pose needs K and the lens first"):
         optics_for(recording(), "front", tmp_path / "none.json")
 
