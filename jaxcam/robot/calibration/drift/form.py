@@ -35,6 +35,10 @@ from jaxcam.robot.calibration.figures import space_figure
 from jaxcam.robot.calibration.known import require_view
 from jaxcam.robot.calibration.page import CalibrationPage, page_path, spread_out, write_calibration
 
+POSE_OFF = 0.02, np.deg2rad(1.0)
+"""Changes (m, rad) that all episodes ask for from which on the given pose is called off; faults of
+joints of half a degree ask for less."""
+
 
 @dataclass(frozen=True)
 class ViewDrift:
@@ -193,9 +197,19 @@ def drift_words(recording: Recording, drift: ViewDrift) -> list[str]:
             f"View {drift.view}: nothing can be said of episodes {numbers}"
             f"{' and more' if len(drift.silent) > 8 else ''}: less than {SUPPORT:.0%} of the arm's "
             "contour lies on edges. The camera may have moved far (calibrate anew), or the arm is "
-            "hardly by_view."
+            "hardly in view."
         )
-    if not drift.runs:
+    if drift.episodes:
+        one = drift.episodes[0]
+        together = one.asked.change - one.change
+        place, turn = np.linalg.norm(together[:3]), np.linalg.norm(together[3:])
+        if place > POSE_OFF[0] or turn > POSE_OFF[1]:
+            lines.append(
+                f"View {drift.view}: episodes ask together for {1000 * place:.0f} mm and "
+                f"{np.rad2deg(turn):.1f} degrees, which is no motion: the pose that is given is "
+                "off, or the joints are. Calibrate anew (python -m jaxcam.calibrate arm)."
+            )
+    if drift.episodes and not drift.runs:
         lines.append(f"View {drift.view}: stood still in {len(drift.episodes)} episodes.")
     return lines
 

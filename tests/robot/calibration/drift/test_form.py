@@ -1,15 +1,24 @@
 """`jaxcam.calibrate drift` as a command."""
 
+from pathlib import Path
+
 import numpy as np
 from boxed_arm import CAMERA
 from boxed_dataset import write_boxed
 from running import exit_code
 from web_page import Page
 
+from jaxcam.data.recorded.recording import Recording
 from jaxcam.interop.cameras.files import read_cameras
+from jaxcam.interop.cameras.optics import Optics
+from jaxcam.robot.calibration.drift.change import AskedChange
+from jaxcam.robot.calibration.drift.change import Tested as Judged
+from jaxcam.robot.calibration.drift.form import ViewDrift, drift_words
 from jaxcam.robot.calibration.projection import apart, moved
 
 ELSEWHERE = moved(CAMERA, np.r_[0.01, 0.01, 0, np.deg2rad([1.5, -1.0, 0.0])])
+OPTICS = Optics(np.array([[100.0, 0, 60], [0, 100, 40], [0, 0, 1]]), 120, 80, np.zeros(9))
+RECORDING = Recording(Path("cups"), ("front",), (), (), 10.0, [], "")
 ASKED = ("calibrate", "drift", "data", "--robot", "arm.xml")
 
 
@@ -44,3 +53,23 @@ def test_no_pose_is_known(tmp_path, monkeypatch, capsys):
     assert "No pose that stands still is known" in " ".join(
         capsys.readouterr().err.replace("│", " ").split()
     )
+
+
+def found(change, together, support=0.8):
+    asked = AskedChange(4, CAMERA, np.add(change, together), np.eye(6), support, np.zeros(3))
+    return Judged(asked, np.array(change, float), 1.0, False)
+
+
+def test_a_given_pose_that_is_off_in_all_episodes_is_no_camera_that_stood_right():
+    still, off = np.zeros(6), np.r_[0.05, 0, 0, 0, 0, 0]
+    (line,) = drift_words(RECORDING, ViewDrift("front", [found(still, still)], [], OPTICS))
+    assert "stood still in 1 episode" in line
+    told_off, _ = drift_words(RECORDING, ViewDrift("front", [found(still, off)], [], OPTICS))
+    assert "ask together for 50 mm and 0.0 degrees" in told_off
+
+
+def test_pictures_that_say_nothing_are_no_camera_that_stood_still():
+    silent = [found(np.zeros(6), np.zeros(6), support=0.1).asked]
+    (line,) = drift_words(RECORDING, ViewDrift("front", [], silent, OPTICS))
+    assert "nothing can be said of episodes 4" in line
+    assert line.endswith("the arm is hardly in view.")
