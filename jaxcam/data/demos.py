@@ -315,9 +315,8 @@ def _read_header(path: Path, file: h5py.File) -> Header:
     check_about(path, about)
     try:
         group: Any = file["cameras"]
-        return Header(
-            world_from_camera=poses, **read_camera_arrays(path, group, len(poses)), **about
-        )
+        arrays = read_camera_arrays(path, group, len(poses), about.get("optics", {}))
+        return Header(world_from_camera=poses, **arrays, **about)
     except TypeError as error:
         raise DatasetError(f"{path}: incomplete jaxcam header ({error}).") from error
 
