@@ -129,14 +129,20 @@ def check_ranges(demos: Demos) -> Finding:
 
 
 def camera_numbers(demos: Demos) -> dict[str, np.ndarray]:
-    """Distances, azimuths and elevations of the cameras about the middle of the task, by name."""
+    """Distances, azimuths and elevations of the cameras about the middle of the task, by name.
+
+    Their fields of view, too, where they have their own.
+    """
     centre = np.array(demos.task.cameras.centre)
     azimuth, elevation, distance = spherical(demos.header.world_from_camera, centre)
-    return {
+    numbers = {
         "camera distance (m)": distance,
         "camera azimuth (°)": np.rad2deg(azimuth),
         "camera elevation (°)": np.rad2deg(elevation),
     }
+    if demos.header.K is not None:
+        numbers["field of view (°)"] = np.rad2deg(demos.header.camera(slice(None), 1).fovy)
+    return numbers
 
 
 def _within(values: np.ndarray, pair: tuple[float, float]) -> np.ndarray:

@@ -15,6 +15,7 @@ from jaxcam.reports.document import Link, Table
 from jaxcam.reports.names import csv_cell
 from jaxcam.results.differences import PairedDifference
 from jaxcam.results.protocol import is_foreign
+from jaxcam.results.rows import CONDITIONS
 from jaxcam.results.stats import by_field, gap_between, p_text, success_rate
 from jaxcam.runs.foreign import NOT_SAID
 from jaxcam.runs.identity import plain
@@ -126,9 +127,10 @@ def foreign_table(arms: Sequence[Arm]) -> Table | None:
         own = [paper.policy_title(s["policy"]), _task(arm), s["conditioning"], arm.label(),
                _rate(e.value, e.low, e.high), arm.count()]  # fmt: skip
         rules.append(len(rows))
+        is_usual = not any(map(s.get, CONDITIONS))  # as ours in Table I
         others = [
             a for a in arms
-            if not is_foreign_arm(a) and paper.is_table_setting(a.settings)
+            if is_usual and not is_foreign_arm(a) and paper.is_table_setting(a.settings)
             and kind_of_pairs(a.settings) == kind_of_pairs(s) and a.estimate.n and e.n
         ]  # fmt: skip
         for other in others:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from many_cameras import seen_by_many, with_optics, with_poses
 
-from jaxcam.checks.held_out import check_field_of_view, check_held_out, check_ranges
+from jaxcam.checks.held_out import camera_numbers, check_field_of_view, check_held_out, check_ranges
 from jaxcam.rays import POSE_RANGES, sample_poses
 from jaxcam.sim.tasks.lift import Lift
 
@@ -73,3 +73,9 @@ def test_a_lens_alone_leaves_the_task_s_field_of_view(many):
     finding = check_field_of_view(with_optics(many, lens="opencv:-0.3:0"))
     assert finding.mark == "good"
     assert finding.got.startswith("45° to 45°")
+
+
+def test_numbers_have_fields_of_view_where_cameras_have_their_own(many):
+    assert "field of view (°)" not in camera_numbers(many)
+    fovy = camera_numbers(with_optics(many, fovy="20:70"))["field of view (°)"]
+    assert 20 < fovy.min() < fovy.max() < 70

@@ -62,6 +62,7 @@ def test_a_file_of_its_own_has_k_and_lens_of_each_camera(alike, varied):
     assert camera_faults(varied).tolerable
     with h5py.File(varied.path) as file:
         assert set(file["cameras"]) == {"world_from_camera", "K", "distortion"}
+        assert "fovy_deg" not in file["cameras"].attrs  # there is none of all
 
 
 def test_without_ranges_nothing_is_written_that_was_not_before(alike):

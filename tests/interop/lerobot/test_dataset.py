@@ -193,7 +193,7 @@ def test_metadata_has_no_k_of_all_cameras_where_they_differ(demos, tmp_path, opt
     else:
         assert about["intrinsics"] is about["fovy_deg"] is None
         assert "camera.<view>.distortion" in about["conventions"]["intrinsics"]
-    (sight, *_) = read_lerobot(folder).episodes[0].sights
+    sight = next(iter(read_lerobot(folder).episodes[0].sights.values()))
     np.testing.assert_allclose(sight.calibration.K, K[demos.train[0].cameras[0]], rtol=1e-6)
 
 
