@@ -127,10 +127,9 @@ def foreign_table(arms: Sequence[Arm]) -> Table | None:
         own = [paper.policy_title(s["policy"]), _task(arm), s["conditioning"], arm.label(),
                _rate(e.value, e.low, e.high), arm.count()]  # fmt: skip
         rules.append(len(rows))
-        is_usual = not any(map(s.get, CONDITIONS))  # as ours in Table I
-        others = [
+        others = [] if any(map(s.get, CONDITIONS)) else [
             a for a in arms
-            if is_usual and not is_foreign_arm(a) and paper.is_table_setting(a.settings)
+            if not is_foreign_arm(a) and paper.is_table_setting(a.settings)
             and kind_of_pairs(a.settings) == kind_of_pairs(s) and a.estimate.n and e.n
         ]  # fmt: skip
         for other in others:
@@ -142,10 +141,7 @@ def foreign_table(arms: Sequence[Arm]) -> Table | None:
             rows.append([*own, *[NONE] * 4])
     head = ("Policy", "Task", "Conditioning", "Settings", "Success", "Rollouts", "Against",
             "Difference", "p", "Pairs")  # fmt: skip
-    caption = (
-        "Policies that were not trained here, in percent, and their paired differences to ours in "
-        "points."
-    )
+    caption = "Policies not trained here, in percent, and paired differences to ours in points."
     return Table(caption, head, rows, rules, folded=len(rows) > 40) if rows else None
 
 
