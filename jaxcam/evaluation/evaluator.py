@@ -340,8 +340,8 @@ class Evaluator:
         the errors and the usual intrinsics where it is told these.
         """
         chosen = self.pairs(split, [pair])
-        seen = self._seen(chosen, split, [pair], self.size)
-        cameras = cameras_of(self.scene, seen.K, chosen.cameras, seen.lens, seen.claimed)
+        optics = self._seen(chosen, split, [pair], self.size)
+        cameras = cameras_of(self.scene, optics.K, chosen.cameras, optics.lens, optics.claimed)
         engine = make_engine(None, self.scene, "osc_pose", self.task.varied)
         sensed = Instant.of(engine.reset(chosen.start), np.zeros(1))
         obs = observe(

@@ -100,8 +100,8 @@ class Rolled:
         chosen = make_pairs(task, world, self.config.views, row.split, [pair])
         qpos, notes = self._roll(row, chosen)
         start = type(chosen.start)(*(part[0] for part in chosen.start))
-        seen = partial(seen_pairs, task, world, own_conditions(self.config))
-        watching = jax.tree.map(lambda part: part[0], seen(chosen, row.split, [pair]))
+        cameras_of = partial(seen_pairs, task, world, own_conditions(self.config))
+        watching = jax.tree.map(lambda part: part[0], cameras_of(chosen, row.split, [pair]))
         course = Course(task, world, start, qpos, watching, test=True)
         bodies, no_bodies = course.bodies()
         shown, few = course.viewpoints()
@@ -114,7 +114,7 @@ class Rolled:
         is_other = np.array(numbers) != pair
         others = jax.tree.map(
             lambda part: part[is_other].reshape(-1, *part.shape[2:]),
-            seen(everybody, row.split, numbers),
+            cameras_of(everybody, row.split, numbers),
         )
         return Exhibit(
             title=f"{self.config.task}, {self.config.scene}",

@@ -215,8 +215,8 @@ def seen_pairs(
         split: `test` or `validation`.
         numbers: Of the pairs.
     """
-    seen = ConditionedPairs(task, world, conditions).seen(pairs, split, numbers, (SIDE, SIDE))
-    return Camera(seen.K, pairs.cameras, SIDE, SIDE, seen.lens)
+    optics = ConditionedPairs(task, world, conditions).seen(pairs, split, numbers, (SIDE, SIDE))
+    return Camera(optics.K, pairs.cameras, SIDE, SIDE, optics.lens)
 
 
 def training_cameras(demos: Demos) -> np.ndarray:

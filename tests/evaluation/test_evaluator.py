@@ -181,17 +181,17 @@ def test_under_conditions_a_sight_is_what_a_policy_is_told(
 ):
     """Lens, error of the pose, frame of the rays: all that comes to a policy, and nothing else."""
     conditions = Conditions(pose_noise="3,5", fovy="25:70", lens="opencv:-0.3:-0.1")
-    other, told = under(evaluator, conditions, **settings), []
+    other, shown = under(evaluator, conditions, **settings), []
 
     def first(*args):
-        told.append(observe(*args))
+        shown.append(observe(*args))
         raise StopIteration
 
     monkeypatch.setattr("jaxcam.sim.rollout.observe", first)
     with pytest.raises(StopIteration):
         other.run(candidate, "test", [3])
     picture, rays = other.sight("test", 3)
-    (obs,) = told
+    (obs,) = shown
     np.testing.assert_array_equal(picture, obs["image"][0, 0])
     assert ("distortion" in obs) == ("rays_from" not in settings)
     lens = obs["distortion"][0, 0] if "distortion" in obs else None

@@ -112,9 +112,9 @@ def test_cameras_have_the_intrinsics_and_lenses_of_the_run_s_conditions(made, li
     exhibit, numbers = rolled.exhibit(5), list(rolled.pairs())
     pairs = make_pairs(lift, scene, rolled.config.views, "test", numbers)
     conditioned = ConditionedPairs(lift, scene, Conditions(**optics))
-    seen = conditioned.seen(pairs, "test", numbers, (24, 24))
+    optics_of = conditioned.seen(pairs, "test", numbers, (24, 24))
     cameras = [v.camera for v in exhibit.viewpoints if v.group == "test"]
     expected = [5, *(number for number in numbers if number != 5)]
-    np.testing.assert_allclose([c.K for c in cameras], seen.K[expected, 0])
-    np.testing.assert_array_equal([c.distortion for c in cameras], seen.lens[expected, 0])
+    np.testing.assert_allclose([c.K for c in cameras], optics_of.K[expected, 0])
+    np.testing.assert_array_equal([c.distortion for c in cameras], optics_of.lens[expected, 0])
     assert exhibit.viewpoints[0].pictures

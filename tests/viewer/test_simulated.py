@@ -76,9 +76,9 @@ def test_cameras_that_differ_are_shown_with_their_own_intrinsics_and_lenses(demo
     for view, row in zip(shown, demo.cameras, strict=True):
         np.testing.assert_allclose(view.camera.K, varied.header.intrinsics(24)[row])
         np.testing.assert_array_equal(view.camera.distortion, varied.header.distortion[row])
-    seen = views_of(demo, varied, 24)
+    view_of_all = views_of(demo, varied, 24)
     painter = make_painter(varied.world, 24, varied=varied.task.varied, lenses=True)
-    first = jax.tree.map(lambda part: part[:1], seen)
+    first = jax.tree.map(lambda part: part[:1], view_of_all)
     np.testing.assert_array_equal(shown[0].pictures[0], painter.rgb(first)[0])
     test = [v.camera for v in exhibit.viewpoints if v.group == "test"]
     optics = optics_ranges(Conditions(**ranges), varied.task.fovy_deg)
