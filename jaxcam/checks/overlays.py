@@ -73,10 +73,7 @@ def draw_over(picture: np.ndarray, demos: Demos, shown: Moment, scene: World) ->
     That is the axes of grip and table, and the way of the grip.
     """
     demo, side = demos.episodes[shown.row], len(picture)
-    pose = demos.header.world_from_camera[demo.cameras[shown.camera]]
-    row, lenses = demo.cameras[shown.camera], demos.header.distortion
-    lens = None if lenses is None else lenses[row]
-    eye = Camera(demos.header.intrinsics(side)[row], pose, side, side, lens)
+    eye = demos.header.camera(demo.cameras[shown.camera], side)
     draw_line(picture, eye, demo.eef_pos, PATH, 1)
     draw_axes(picture, eye, table_pose(demo, scene), TABLE_LENGTH)
     draw_axes(picture, eye, grip_pose(demo, shown.t), GRIP_LENGTH)

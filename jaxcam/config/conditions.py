@@ -8,7 +8,7 @@ import itertools
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 from jaxcam.errors import ConfigError, closest
 
@@ -21,6 +21,9 @@ LENSES: Mapping[str, int] = {"opencv": 5, "fisheye": 4}
 """Models of lenses, and how many of their coefficients can be drawn."""
 NOMINAL = "nominal"
 """On the command line, what is empty here."""
+_SAME_FOVY = 1e-4
+"""Difference (degrees) up to which a field of view is the task's: a pixel of a thousand rows."""
+_Settings = TypeVar("_Settings")
 
 
 def degrees_and_cm(text: str, name: str = "pose_noise") -> Span:
@@ -79,7 +82,8 @@ def lens_spans(text: str, name: str = "lens") -> tuple[str, tuple[Span, ...]] | 
         name: Of the setting, for messages.
 
     Returns:
-        The model and the ranges; None where the text is empty.
+        The model and the ranges up to the last that is not 0, none of a pinhole (a fisheye is
+        none); None where the text is empty.
 
     Raises:
         ConfigError: It is no such text.
@@ -98,8 +102,10 @@ def lens_spans(text: str, name: str = "lens") -> tuple[str, tuple[Span, ...]] | 
             f"{name}: {model} has 1 to {LENSES[model]} coefficients, as in {model}:-0.1:0.1; got "
             f"{text!r:.80}."
         )
-    spans = [span(part, name, COEFFICIENT) for part in parts]
-    return model, tuple(s or (0.0, 0.0) for s in spans)
+    spans = [span(part, name, COEFFICIENT) or (0.0, 0.0) for part in parts]
+    while spans and spans[-1] == (0.0, 0.0) and (model, len(spans)) != ("fisheye", 1):
+        spans.pop()
+    return model, tuple(spans)
 
 
 @dataclass(frozen=True)
@@ -135,15 +141,6 @@ class Conditions:
         """
         return cls(**{name: getattr(settings, name, "") for name in OPTICS} | changes)
 
-    def of_task(self, fovy_deg: float) -> Self:
-        """The same, where a field of view that is the task's own is no condition.
-
-        Args:
-            fovy_deg: The task's (degrees).
-        """
-        own = span(self.fovy, "fovy", FOVY) == (fovy_deg, fovy_deg)
-        return replace(self, fovy="") if own else self
-
     @property
     def said(self) -> dict[str, Any]:
         """As rows have them: with `eval_` before the names, None where they are as usual."""
@@ -157,6 +154,21 @@ class Conditions:
 
 OPTICS = ("fovy", "aspect", "centre", "lens")
 """The settings that say which intrinsics cameras have."""
+
+
+def of_task(settings: _Settings, fovy_deg: float) -> _Settings:
+    """Settings where a field of view that is the task's own is none that is asked for.
+
+    That is all of their one form that only the task knows; the rest is `keep_canonical`.
+
+    Args:
+        settings: A frozen record with `fovy`.
+        fovy_deg: The task's (degrees).
+    """
+    record: Any = settings
+    ends = span(record.fovy, "fovy", FOVY)
+    is_own = ends and all(abs(end - fovy_deg) <= _SAME_FOVY for end in ends)
+    return replace(record, fovy="") if is_own else settings
 
 
 def several(usual: Conditions, asked: Mapping[str, Sequence[str]]) -> list[Conditions]:
@@ -186,7 +198,8 @@ _PARSERS: Mapping[str, Callable[[str, str], Any]] = {
     "lens": lens_spans,
 }
 _NEUTRAL: Mapping[str, Any] = {"pose_noise": (0.0, 0.0), "pose_drift": (0.0, 0.0),
-                               "aspect": (1.0, 1.0), "centre": (0.0, 0.0)}  # fmt: skip
+                               "aspect": (1.0, 1.0), "centre": (0.0, 0.0),
+                               "lens": ("opencv", ())}  # fmt: skip
 
 
 def keep_canonical(record: Any, *names: str) -> None:
@@ -225,4 +238,6 @@ def _short(number: float) -> str:
 
 
 def _number(text: str) -> float | None:
-    return float(text) if re.fullmatch(r"[+-]?(\d{1,9}\.?\d{0,12}|\.\d{1,12})", text) else None
+    """The number, without a sign where it is 0."""
+    is_number = re.fullmatch(r"[+-]?(\d{1,9}\.?\d{0,12}|\.\d{1,12})", text)
+    return float(text) + 0.0 if is_number else None

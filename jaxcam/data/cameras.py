@@ -175,6 +175,15 @@ READINGS = (
 """How else poses may have been written."""
 
 
+OWN_OPTICS = Reading(
+    "their own intrinsics and lenses (cameras/K, cameras/distortion): with the task's the grip is "
+    "in the pictures. Draw them from ranges of wider fields of view and smaller offsets, or "
+    "correct them",
+    lambda poses, base: poses,
+)
+"""Why cameras do not see what they should whose poses are right."""
+
+
 def sights_of(demos: Demos) -> Sights:
     """The cameras that demonstrations are seen by, each with places of the grip in those."""
     paths: dict[int, list[np.ndarray]] = {}
@@ -247,6 +256,10 @@ def camera_faults(demos: Demos) -> CameraFaults:
     result = CameraFaults(sights.rows, faults(sights), None)
     if result.tolerable:
         return result
+    if demos.header.K is not None:
+        usual = sights_of(replace(demos, header=replace(demos.header, K=None, distortion=None)))
+        if np.any(list(faults(usual).values()), 0).mean() <= TOLERATED:
+            return replace(result, cause=OWN_OPTICS)
     base = make_task(demos.header.task).scene(demos.header.scene).world_from_base
     return replace(result, cause=next(iter(readings_that_fit(sights, base)), None))
 

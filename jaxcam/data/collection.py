@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from jaxcam.config.conditions import of_task
 from jaxcam.config.datasets import CollectConfig
 from jaxcam.config.fields import fill
 from jaxcam.console.paces import collecting_job
@@ -37,15 +38,16 @@ LEAST_SUCCESS = 0.9
 """Share of episodes worth keeping below which something is broken and collection stops."""
 
 
-def with_stair(config: CollectConfig) -> CollectConfig:
-    """The config with its task's number of cameras, n and m, where it leaves them open."""
-    n, m = make_task(config.task).stair
-    return fill(config, n=n, m=m)
+def in_task(config: CollectConfig) -> CollectConfig:
+    """The config as its task has it: n and m where it leaves them open, its own field of view."""
+    task = make_task(config.task)
+    n, m = task.stair
+    return of_task(fill(config, n=n, m=m), task.fovy_deg)
 
 
 def dataset_path(config: CollectConfig) -> Path:
     """Where a dataset lies: its name holds every setting that shapes it."""
-    config = with_stair(config)
+    config = in_task(config)
     name = f"{config.task}-{config.scene}-n{config.n}m{config.m}-{config.demos}+{config.validation}"
     optics = "".join(f"-{k}{v}" for k, v in said_optics(config).items())
     name += re.sub("[:,]", "_", optics)
@@ -62,7 +64,7 @@ def collect(config: CollectConfig, console: Console | None = None) -> Demos:
     Returns:
         The complete dataset. An existing file is read and checked, an unfinished one continued.
     """
-    config = with_stair(config)
+    config = in_task(config)
     path = dataset_path(config)
     if not path.exists():
         task = make_task(config.task)

@@ -11,8 +11,8 @@ A file holds no pictures; they are rendered from its states (`jaxcam.data.pictur
       obs/robot0_gripper  [T + 1]    the gripper's command in [-1 open, 1 closed]
       start/{geom_size, fixtures}    what else fixes the episode (`jaxcam.sim.types.Start`)
     cameras/world_from_camera [N, 4, 4]   OpenCV axes
-    cameras/fovy_deg                      vertical field of view
-    cameras/K [N, 3, 3], distortion [N, 9]  if cameras differ, see `jaxcam.data.header`
+    cameras/fovy_deg                      vertical field of view of all cameras
+    cameras/K [N, 3, 3], distortion [N, 9]  instead, if cameras differ, see `jaxcam.data.header`
     mask/{train, valid}                   names of the demonstrations
 
 Datasets carry Fletcher-32 checksums, and a complete file hashes of its content
@@ -315,9 +315,8 @@ def _read_header(path: Path, file: h5py.File) -> Header:
     check_about(path, about)
     try:
         group: Any = file["cameras"]
-        return Header(
-            world_from_camera=poses, **read_camera_arrays(path, group, len(poses)), **about
-        )
+        arrays = read_camera_arrays(path, group, len(poses), about.get("optics", {}))
+        return Header(world_from_camera=poses, **arrays, **about)
     except TypeError as error:
         raise DatasetError(f"{path}: incomplete jaxcam header ({error}).") from error
 

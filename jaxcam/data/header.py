@@ -15,13 +15,15 @@ from jaxcam.config.conditions import (
     CENTRE,
     FOVY,
     OPTICS,
+    Conditions,
     lens_spans,
+    of_task,
     span,
 )
-from jaxcam.errors import DatasetError
+from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.rays import Camera
 from jaxcam.rays.intrinsics import intrinsics
-from jaxcam.rays.lens import PACKED, Lens
+from jaxcam.rays.lens import PACKED, Lens, check_distortion
 from jaxcam.rays.optics import OpticsRanges, at_size
 
 FORMAT = 1
@@ -51,7 +53,8 @@ class Header:
     versions: dict[str, str] = field(default_factory=dict)
     format: int = FORMAT
     optics: dict[str, str] = field(default_factory=dict)
-    """The settings that the cameras' intrinsics were drawn from, where they differ."""
+    """The settings that the cameras' intrinsics were drawn from, where they differ, as they were
+    written; `ranges` has them as settings are kept."""
     K: np.ndarray | None = field(default=None, repr=False)
     """Of square pictures of height 1, of all cameras [N, 3, 3]; None where all are alike."""
     distortion: np.ndarray | None = field(default=None, repr=False)
@@ -76,6 +79,23 @@ class Header:
         K = intrinsics(self.fovy_deg, height, width)
         return np.broadcast_to(K, (len(self.world_from_camera), 3, 3))
 
+    def camera(self, rows: Any, height: int, width: int | None = None) -> Camera:
+        """Some of the cameras in the world, with their own intrinsics and lenses.
+
+        Args:
+            rows: One number, or several [...].
+            height: Rows of their pictures.
+            width: Columns of them; as many as rows when None.
+        """
+        lens = None if self.distortion is None else self.distortion[rows]
+        K, poses = self.intrinsics(height, width)[rows], self.world_from_camera[rows]
+        return Camera(K, poses, height, width or height, lens)
+
+    @property
+    def ranges(self) -> dict[str, str]:
+        """`optics` in the one form of settings, so that texts of one meaning are one."""
+        return said_optics(of_task(Conditions(**self.optics), self.fovy_deg))
+
     @property
     def arrays(self) -> dict[str, np.ndarray]:
         """Those of the cameras by their names in `cameras`."""
@@ -84,18 +104,22 @@ class Header:
         return {"world_from_camera": self.world_from_camera, **there}
 
 
-def read_camera_arrays(path: Path, group: Any, cameras: int) -> dict[str, np.ndarray]:
+def read_camera_arrays(
+    path: Path, group: Any, cameras: int, optics: Mapping[str, str]
+) -> dict[str, np.ndarray]:
     """Intrinsics and lenses of a file's cameras, where they differ.
 
     Args:
         path: Of the file, for messages.
         group: Arrays by name, such as the file's group `cameras`.
         cameras: How many there are.
+        optics: The settings that they were drawn from, as the header says.
 
     Raises:
-        DatasetError: There are other numbers of them.
+        DatasetError: There are other numbers of them, or the header speaks of what is not there.
         CameraError: One of them cannot be.
     """
+    _check_said(path, group, cameras, optics)
     arrays: dict[str, np.ndarray] = {}
     for name, shape in CAMERA_ARRAYS.items():
         if name not in group:
@@ -107,12 +131,36 @@ def read_camera_arrays(path: Path, group: Any, cameras: int) -> dict[str, np.nda
                 f"floating-point numbers {[cameras, *shape]}."
             )
         arrays[name] = array
+    if "distortion" in arrays:
+        check_distortion(arrays["distortion"], "opencv", f"{path}: cameras/distortion")
     if "K" in arrays:
         side = 64  # of a picture as large as cameras are checked for
         still = np.broadcast_to(np.eye(4), (cameras, 4, 4))
         K, lens = at_size(arrays["K"], side), arrays.get("distortion")
         Camera(K, still, side, side, lens).validate(f"{path}: cameras/K")
     return arrays
+
+
+def _check_said(path: Path, group: Any, cameras: int, optics: Mapping[str, str]) -> None:
+    """Refuses ranges that cannot be, and those of arrays that a file has not."""
+    if unknown := [name for name in optics if name not in OPTICS]:
+        raise DatasetError(
+            f"{path}: header: optics has {unknown[0]!r:.80}, expected names among "
+            f"{', '.join(OPTICS)}."
+        )
+    try:
+        wanted = {"K": "", "distortion": Conditions(**optics).lens} if optics else {}
+    except ConfigError as error:
+        raise DatasetError(f"{path}: header: optics: {error}") from error
+    for name, lens in wanted.items():
+        if name not in group and (lens or name == "K"):
+            said = ", ".join(f"{k} {v}" for k, v in optics.items())
+            raise DatasetError(
+                f"{path}: cameras/{name} is missing, but by the header the cameras were drawn "
+                f"from {said}. Expected {[cameras, *CAMERA_ARRAYS[name]]} numbers, got none "
+                f"(cameras has {', '.join(sorted(group))}). Copy the file anew or collect it "
+                'again; if its cameras are alike, take "optics" out of its header.'
+            )
 
 
 def optics_ranges(settings: Any, fovy_deg: float) -> OpticsRanges | None:

@@ -208,12 +208,12 @@ def views_of(
     which = np.arange(demo.length * cameras) if which is None else which
     t, camera = np.divmod(which, cameras)
     count = len(which)
-    rows, lens = demo.cameras[camera], demos.header.distortion
+    seen_by = demos.header.camera(demo.cameras[camera], *rows_and_columns(resolution))
     return View(
         qpos=demo.qpos[t],
         geom_size=np.broadcast_to(demo.geom_size, (count, *demo.geom_size.shape)),
         fixtures=np.broadcast_to(demo.fixtures, (count, *demo.fixtures.shape)),
-        K=demos.header.intrinsics(*rows_and_columns(resolution))[rows],
-        world_from_camera=demos.header.world_from_camera[rows],
-        lens=None if lens is None else lens[rows],
+        K=seen_by.K,
+        world_from_camera=seen_by.world_from_camera,
+        lens=seen_by.distortion,
     )

@@ -265,7 +265,8 @@ def _file_of(header: Header, demos: list[Demo]) -> bytes:
         cameras = file.create_group("cameras")
         for key, array in header.arrays.items():
             cameras.create_dataset(key, data=array, fletcher32=True)
-        cameras.attrs["fovy_deg"] = header.fovy_deg
+        if header.K is None:  # else there is none of all cameras
+            cameras.attrs["fovy_deg"] = header.fovy_deg
         names = [f"demo_{i}" for i in range(len(demos))]
         mask = file.create_group("mask")
         mask.create_dataset("train", data=names[: header.train], dtype=h5py.string_dtype())

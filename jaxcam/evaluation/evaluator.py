@@ -13,7 +13,7 @@ import numpy as np
 from jax.sharding import Mesh
 from jax.tree_util import Partial
 
-from jaxcam.config.conditions import Conditions
+from jaxcam.config.conditions import Conditions, of_task
 from jaxcam.config.names import RayFrame, RaysFrom, Rotations, SceneName
 from jaxcam.config.sizes import rows_and_columns
 from jaxcam.data.pairs import Pairs, make_pairs
@@ -21,12 +21,13 @@ from jaxcam.devices import copied, data_mesh, spread
 from jaxcam.evaluation.conditions import ConditionedPairs
 from jaxcam.files.paths import absolute
 from jaxcam.models import Policy
+from jaxcam.models.policy import CAMERA_INPUTS
 from jaxcam.rays import Camera, spherical
-from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.results.rows import Row, Status
 from jaxcam.runs.rollouts import weights_digest
 from jaxcam.sim import engine_name, make_engine, make_painter, make_task
 from jaxcam.sim.actions import controller_of, space_of
+from jaxcam.sim.observing import Instant, cameras_of, observe
 from jaxcam.sim.rollout import Agent, Episodes, Rollouts, rollout
 from jaxcam.sim.types import View
 from jaxcam.training.digests import describe, flatten
@@ -203,7 +204,7 @@ class Evaluator:
         self.ensemble = config.ensemble if ensemble is None else ensemble
         self.task = make_task(config.task)
         self.task.require()
-        self.conditions = (conditions or Conditions()).of_task(self.task.fovy_deg)
+        self.conditions = of_task(conditions or Conditions(), self.task.fovy_deg)
         self.scene = self.task.scene(config.scene)
         self.engine_name = engine_name(engine or config.engine, self.scene)
         varied = self.task.varied
@@ -313,10 +314,10 @@ class Evaluator:
 
     def clips(self, done: Rollouts, split: str, pairs: Sequence[int]) -> list[np.ndarray]:
         """Videos of rollouts as their first camera saw them, uint8 [T, H, W, 3] each."""
-        task = self.task
-        _, cameras, start = self.pairs(split, pairs)
-        renderer = make_painter(self.scene, VIDEO_PIXELS, varied=task.varied)
-        K = intrinsics(task.fovy_deg, VIDEO_PIXELS)
+        chosen = self.pairs(split, pairs)
+        start, sight = chosen.start, self._seen(chosen, split, pairs, (VIDEO_PIXELS, VIDEO_PIXELS))
+        lenses = sight.lens is not None
+        renderer = make_painter(self.scene, VIDEO_PIXELS, varied=self.task.varied, lenses=lenses)
         clips = []
         for i in range(len(pairs)):
             qpos = done.qpos[: done.steps[i] + 1 : VIDEO_STRIDE, i]
@@ -325,20 +326,30 @@ class Evaluator:
                 qpos=qpos,
                 geom_size=np.tile(start.geom_size[i], several),
                 fixtures=np.tile(start.fixtures[i], several),
-                K=np.tile(K, several),
-                world_from_camera=np.tile(cameras[i, 0], several),
+                K=np.tile(sight.K[i, 0], several),
+                world_from_camera=np.tile(chosen.cameras[i, 0], several),
+                lens=None if sight.lens is None else np.tile(sight.lens[i, 0], several[:2]),
             )
             clips.append(renderer.rgb(view))
         return clips
 
     def sight(self, split: str, pair: int) -> tuple[np.ndarray, np.ndarray]:
-        """What a policy sees at a pair's start: picture uint8 [H, W, 3] and ray-map [H, W, 6]."""
-        _, cameras, start = self.pairs(split, [pair])
-        K = intrinsics(self.task.fovy_deg, *self.size)[None]
-        view = View(start.qpos, start.geom_size, start.fixtures, K, cameras[:, 0])
-        camera = Camera(K[0], cameras[0, 0], *self.size)
-        rays = camera.in_frame(np.linalg.inv(self.scene.world_from_base)).plucker()
-        return self.renderer.rgb(view)[0], np.asarray(rays)
+        """What a policy is shown at a pair's start: picture uint8 [H, W, 3] and ray-map [H, W, 6].
+
+        The rays are those of the first camera as the policy is told it: in its ray frame, and with
+        the errors and the usual intrinsics where it is told these.
+        """
+        chosen = self.pairs(split, [pair])
+        optics = self._seen(chosen, split, [pair], self.size)
+        cameras = cameras_of(self.scene, optics.K, chosen.cameras, optics.lens, optics.claimed)
+        engine = make_engine(None, self.scene, "osc_pose", self.task.varied)
+        sensed = Instant.of(engine.reset(chosen.start), np.zeros(1))
+        obs = observe(
+            self.renderer, sensed, chosen.start, cameras, np.ones(1, bool), self.config.ray_frame
+        )
+        shown = {name: obs[name][0, 0] for name in CAMERA_INPUTS if name in obs}
+        K, pose, lens = shown["K"], shown["base_from_camera"], shown.get("distortion")
+        return shown["image"], np.asarray(Camera(K, pose, *self.size, lens).plucker())
 
     def pairs(self, split: str, numbers: Sequence[int]) -> Pairs:
         """The pairs of these numbers."""

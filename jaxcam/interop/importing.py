@@ -11,7 +11,7 @@ from rich.console import Console
 
 from jaxcam.config.datasets import CollectConfig, ImportConfig
 from jaxcam.config.names import TaskName
-from jaxcam.data.collection import camera_windows, new_header, with_stair
+from jaxcam.data.collection import camera_windows, in_task, new_header
 from jaxcam.data.demos import Demo, Demos, read_demos
 from jaxcam.data.hdf5 import group_at, names_at
 from jaxcam.data.splits import NO_VALIDATION
@@ -171,7 +171,7 @@ def write_dataset(
                 f"stopped after it was written, see what it is good for: jaxcam replay {out}"
             )
         discard(out)  # perhaps of another file
-        header = new_header(with_stair(like), task, task.scene(config.scene))
+        header = new_header(in_task(like), task, task.scene(config.scene))
         header = replace(header, versions={**header.versions, "imported": about})
         with DemoWriter(out, header) as writer:
             for i, (demo, cameras) in enumerate(zip(demos, camera_windows(header), strict=True)):

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from rich.console import Console
 
-from jaxcam.config.conditions import OPTICS
+from jaxcam.config.conditions import OPTICS, of_task
 from jaxcam.config.datasets import CollectConfig
 from jaxcam.config.sizes import rows_and_columns
 from jaxcam.config.train import TrainConfig
@@ -67,12 +67,14 @@ class Simulated:
                 f"{recorded[0]} is for recorded datasets: give a folder as --dataset, or leave "
                 "it out."
             )
-        engine_name(config.engine, make_task(config.task))
+        task = make_task(config.task)
+        engine_name(config.engine, task)
+        config = of_task(config, task.fovy_deg)
         if not config.dataset:
             return config
         header = read_demos(absolute(config.dataset), task=config.task, scene=config.scene).header
         counts = {"demos": header.train, "validation": header.valid, "n": header.n, "m": header.m}
-        counts |= dict.fromkeys(OPTICS, "") | header.optics
+        counts |= dict.fromkeys(OPTICS, "") | header.ranges
         for name, count in counts.items():
             if getattr(config, name) not in (count, getattr(TrainConfig, name)):
                 raise ConfigError(

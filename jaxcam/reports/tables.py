@@ -15,6 +15,7 @@ from jaxcam.reports.document import Link, Table
 from jaxcam.reports.names import csv_cell
 from jaxcam.results.differences import PairedDifference
 from jaxcam.results.protocol import is_foreign
+from jaxcam.results.rows import CONDITIONS
 from jaxcam.results.stats import by_field, gap_between, p_text, success_rate
 from jaxcam.runs.foreign import NOT_SAID
 from jaxcam.runs.identity import plain
@@ -126,7 +127,7 @@ def foreign_table(arms: Sequence[Arm]) -> Table | None:
         own = [paper.policy_title(s["policy"]), _task(arm), s["conditioning"], arm.label(),
                _rate(e.value, e.low, e.high), arm.count()]  # fmt: skip
         rules.append(len(rows))
-        others = [
+        others = [] if any(map(s.get, CONDITIONS)) else [
             a for a in arms
             if not is_foreign_arm(a) and paper.is_table_setting(a.settings)
             and kind_of_pairs(a.settings) == kind_of_pairs(s) and a.estimate.n and e.n
@@ -140,10 +141,7 @@ def foreign_table(arms: Sequence[Arm]) -> Table | None:
             rows.append([*own, *[NONE] * 4])
     head = ("Policy", "Task", "Conditioning", "Settings", "Success", "Rollouts", "Against",
             "Difference", "p", "Pairs")  # fmt: skip
-    caption = (
-        "Policies that were not trained here, in percent, and their paired differences to ours in "
-        "points."
-    )
+    caption = "Policies not trained here, in percent, and paired differences to ours in points."
     return Table(caption, head, rows, rules, folded=len(rows) > 40) if rows else None
 
 

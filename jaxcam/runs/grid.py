@@ -28,7 +28,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
-from jaxcam.config.conditions import Conditions, several
+from jaxcam.config.conditions import Conditions, of_task, several
 from jaxcam.config.fields import as_record, short
 from jaxcam.config.names import ProtocolName
 from jaxcam.config.train import TrainConfig
@@ -101,7 +101,7 @@ class Planned:
         fovy = make_task(self.config.task).fovy_deg
         usual = self.config.conditions
         everything = [usual, *(c for asked in self.evaluations for c in several(usual, asked))]
-        return list(dict.fromkeys(c.of_task(fovy) for c in everything))
+        return list(dict.fromkeys(of_task(c, fovy) for c in everything))
 
     @property
     def name(self) -> str:

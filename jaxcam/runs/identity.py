@@ -16,7 +16,7 @@ from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jaxcam.config.conditions import OPTICS
+from jaxcam.config.conditions import OPTICS, of_task
 from jaxcam.config.fields import fill, from_json
 from jaxcam.config.presets import PRESETS, Preset
 from jaxcam.config.train import TrainConfig
@@ -70,6 +70,8 @@ def resolve(config: TrainConfig, *, accelerator: bool) -> TrainConfig:
     Raises:
         ConfigError: The policy has no such preset, or given values do not go with its others.
     """
+    if config.task != RECORDED:
+        config = of_task(config, make_task(config.task).fovy_deg)
     if None not in vars(config).values():
         return config
     name, preset = policy_preset(config, accelerator)

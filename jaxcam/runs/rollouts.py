@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
-from jaxcam.config.conditions import Conditions
+from jaxcam.config.conditions import Conditions, of_task
 from jaxcam.config.names import EvaluationSplit, names_of
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import DatasetError
@@ -77,11 +77,15 @@ def as_usual(rows: Iterable[Row], config: TrainConfig | ForeignRecord) -> list[R
         rows: Of the run.
         config: Its settings, or what is known of a foreign policy, which is shown usual cameras.
     """
-    own = Conditions()
-    if isinstance(config, TrainConfig) and config.task != RECORDED:
-        own = config.conditions.of_task(make_task(config.task).fovy_deg)
-    said = tuple(own.said.values())
+    said = tuple(own_conditions(config).said.values())
     return [row for row in rows if row.conditions == said]
+
+
+def own_conditions(config: TrainConfig | ForeignRecord) -> Conditions:
+    """The conditions that are a run's own; see `as_usual`."""
+    if isinstance(config, TrainConfig) and config.task != RECORDED:
+        return of_task(config.conditions, make_task(config.task).fovy_deg)
+    return Conditions()
 
 
 class OneRun:

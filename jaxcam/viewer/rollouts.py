@@ -2,8 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
+import jax
 import numpy as np
 
 from jaxcam.config.datasets import CollectConfig
@@ -21,14 +23,21 @@ from jaxcam.results.rows import Row
 from jaxcam.results.stats import latest_rows
 from jaxcam.runs.foreign import ForeignRecord, has_foreign, read_foreign_record
 from jaxcam.runs.identity import RECORDED, read_config
-from jaxcam.runs.rollouts import as_usual, read_run_rows
+from jaxcam.runs.rollouts import as_usual, own_conditions, read_run_rows
 from jaxcam.sim import make_task
 from jaxcam.sim.controllers import CONTROL_HZ
 from jaxcam.sim.mujoco.scene import Scene
 from jaxcam.training.checkpoint import load_policy_inputs, rebuild_policy
 from jaxcam.viewer.bodies import grip_places
-from jaxcam.viewer.exhibit import GREEN, RED, Exhibit, Outcomes, Viewpoint, Way
-from jaxcam.viewer.simulated import Course, bystanders, grip_way, training_cameras
+from jaxcam.viewer.exhibit import RED, Exhibit, Outcomes, Viewpoint, Way
+from jaxcam.viewer.simulated import (
+    Course,
+    bystanders,
+    grip_way,
+    seen_pairs,
+    trainers,
+    training_cameras,
+)
 
 
 @dataclass(frozen=True)
@@ -91,7 +100,9 @@ class Rolled:
         chosen = make_pairs(task, world, self.config.views, row.split, [pair])
         qpos, notes = self._roll(row, chosen)
         start = type(chosen.start)(*(part[0] for part in chosen.start))
-        course = Course(task, world, start, qpos, chosen.cameras[0], test=True)
+        cameras_of = partial(seen_pairs, task, world, own_conditions(self.config))
+        watching = jax.tree.map(lambda part: part[0], cameras_of(chosen, row.split, [pair]))
+        course = Course(task, world, start, qpos, watching, test=True)
         bodies, no_bodies = course.bodies()
         shown, few = course.viewpoints()
         cameras, no_cameras = self._training_cameras(course)
@@ -99,8 +110,12 @@ class Rolled:
         if isinstance(world, Scene):
             ways = (grip_way(course, grip_places(world, qpos)),)
         numbers = list(self.pairs())
-        all_cameras = make_pairs(task, world, self.config.views, row.split, numbers).cameras
-        others = all_cameras[np.array(numbers) != pair].reshape(-1, 4, 4)
+        everybody = make_pairs(task, world, self.config.views, row.split, numbers)
+        is_other = np.array(numbers) != pair
+        others = jax.tree.map(
+            lambda part: part[is_other].reshape(-1, *part.shape[2:]),
+            cameras_of(everybody, row.split, numbers),
+        )
         return Exhibit(
             title=f"{self.config.task}, {self.config.scene}",
             subtitle=f"{self.folder.name}, step {row.step}: {row.split} pair {pair}, "
@@ -113,7 +128,7 @@ class Rolled:
                 *bystanders(course, others, "test", RED),
             ),
             ways=ways,
-            outcomes=(self._outcomes(course, all_cameras[:, 0]),),
+            outcomes=(self._outcomes(course, everybody.cameras[:, 0]),),
             notes=tuple(note for note in (*notes, no_bodies, few, no_cameras) if note),
         )
 
@@ -146,8 +161,7 @@ class Rolled:
             demos = read_demos(path, task=config.task)
         except (JaxcamError, OSError):
             return (), f"The run's dataset is not at {path}: its cameras are not shown."
-        poses = demos.header.world_from_camera[training_cameras(demos)]
-        return bystanders(course, poses, "training", GREEN), ""
+        return trainers(course, demos, training_cameras(demos)), ""
 
     def _outcomes(self, course: Course, cameras: np.ndarray) -> Outcomes:
         """What came of all pairs, over the sphere of their first cameras [pairs, 4, 4]."""

@@ -3,13 +3,19 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import jax
 import numpy as np
 
+from jaxcam.config.conditions import Conditions
 from jaxcam.data.demos import Demos
+from jaxcam.data.header import optics_ranges
+from jaxcam.data.pairs import Pairs
 from jaxcam.data.splits import SPLITS
 from jaxcam.errors import SimError
+from jaxcam.evaluation.conditions import ConditionedPairs
 from jaxcam.rays import Camera, invert, sample_poses
 from jaxcam.rays.intrinsics import intrinsics
+from jaxcam.rays.optics import at_size, sample_optics
 from jaxcam.rays.rotations import matrix_from_quaternion
 from jaxcam.sim import make_painter
 from jaxcam.sim.controllers import CONTROL_HZ
@@ -43,7 +49,7 @@ class Course:
         world: Where.
         start: Of the episode.
         qpos: Joint positions [T, nq].
-        world_from_camera: Who watches [V, 4, 4].
+        cameras: Who watches [V], in the world, with pictures of `SIDE`.
         test: Whether these are cameras of the test.
     """
 
@@ -51,7 +57,7 @@ class Course:
     world: World
     start: Start
     qpos: np.ndarray
-    world_from_camera: np.ndarray
+    cameras: Camera
     test: bool
 
     @property
@@ -76,26 +82,22 @@ class Course:
 
     def viewpoints(self) -> tuple[tuple[Viewpoint, ...], str]:
         """The cameras with pictures that are drawn, and a note on what could not be."""
-        count = len(self.world_from_camera)
+        (count,) = self.cameras.batch
         stride = -(-len(self.qpos) * count // DRAWN)
         steps = list(range(0, len(self.qpos), stride))
-        K = intrinsics(self.task.fovy_deg, SIDE)
+        lenses = self.cameras.distortion is not None
         try:
             self.task.require()
-            painter = make_painter(self.world, SIDE, SIDE, varied=self.task.varied)
-            pictures = [
-                list(painter.rgb(self._view(pose, K, steps))) for pose in self.world_from_camera
-            ]
+            painter = make_painter(self.world, SIDE, varied=self.task.varied, lenses=lenses)
+            pictures = [list(painter.rgb(self._view(c, steps))) for c in each(self.cameras)]
             note = "" if stride == 1 else f"Pictures are drawn at every {stride}th step."
         except SimError as error:
             pictures, steps, note = [[]] * count, [], f"No pictures are drawn: {error}"
         group, colour = ("test", RED) if self.test else ("training", GREEN)
-        poses = self.base_from_world @ self.world_from_camera
+        cameras = each(self.cameras.in_frame(self.base_from_world))
         return tuple(
-            Viewpoint(
-                f"{group} camera {i}", group, colour, Camera(K, pose, SIDE, SIDE), seen_at, steps
-            )
-            for i, (pose, seen_at) in enumerate(zip(poses, pictures, strict=True))
+            Viewpoint(f"{group} camera {i}", group, colour, camera, seen_at, steps)
+            for i, (camera, seen_at) in enumerate(zip(cameras, pictures, strict=True))
         ), note
 
     def _box(self, name: str, places: np.ndarray) -> Body:
@@ -112,34 +114,49 @@ class Course:
             poses if len(poses) > 1 else poses[0],
         )
 
-    def _view(self, world_from_camera: np.ndarray, K: np.ndarray, steps: Sequence[int]) -> View:
+    def _view(self, camera: Camera, steps: Sequence[int]) -> View:
         several = (len(steps), 1, 1)
         return View(
             qpos=self.qpos[list(steps)],
             geom_size=np.tile(self.start.geom_size, several),
             fixtures=np.tile(self.start.fixtures, several),
-            K=np.tile(K, several),
-            world_from_camera=np.tile(world_from_camera, several),
+            K=np.tile(camera.K, several),
+            world_from_camera=np.tile(camera.world_from_camera, several),
+            lens=None if camera.distortion is None else np.tile(camera.distortion, several[:2]),
         )
 
 
+def each(cameras: Camera) -> list[Camera]:
+    """The cameras of a batch [N], one by one."""
+    return [jax.tree.map(lambda part, i=i: part[i], cameras) for i in range(*cameras.batch)]
+
+
 def bystanders(
-    course: Course, world_from_camera: np.ndarray, group: str, colour: tuple[int, int, int]
+    course: Course, cameras: Camera, group: str, colour: tuple[int, int, int]
 ) -> tuple[Viewpoint, ...]:
     """Cameras without pictures.
 
     Args:
         course: In whose base frame they are shown.
-        world_from_camera: Poses [N, 4, 4].
+        cameras: Which [N], in the world.
         group: What they are for.
         colour: What they are drawn in.
     """
-    K = intrinsics(course.task.fovy_deg, SIDE)
-    poses = course.base_from_world @ np.asarray(world_from_camera, float)
     return tuple(
-        Viewpoint(f"{group} {i}", group, colour, Camera(K, pose, SIDE, SIDE), beside=True)
-        for i, pose in enumerate(poses)
+        Viewpoint(f"{group} {i}", group, colour, camera, beside=True)
+        for i, camera in enumerate(each(cameras.in_frame(course.base_from_world)))
     )
+
+
+def trainers(course: Course, demos: Demos, rows: np.ndarray) -> tuple[Viewpoint, ...]:
+    """Cameras of a dataset, without pictures.
+
+    Args:
+        course: In whose base frame they are shown.
+        demos: The dataset.
+        rows: Numbers of the cameras.
+    """
+    return bystanders(course, demos.header.camera(rows, SIDE), "training", GREEN)
 
 
 def demonstration(demos: Demos, number: int) -> Exhibit:
@@ -149,12 +166,12 @@ def demonstration(demos: Demos, number: int) -> Exhibit:
         demos: The dataset.
         number: Of the demonstration, in the file's order: those for training first.
     """
-    demo, poses = demos.episodes[number], demos.header.world_from_camera
+    demo, header = demos.episodes[number], demos.header
     is_valid = number >= len(demos.train)
-    course = Course(demos.task, demos.world, demo.start(), demo.qpos, poses[demo.cameras], is_valid)
+    watching = header.camera(demo.cameras, SIDE)
+    course = Course(demos.task, demos.world, demo.start(), demo.qpos, watching, is_valid)
     bodies, no_bodies = course.bodies()
     shown, few = course.viewpoints()
-    test = sample_poses(course.task.cameras, TEST_CAMERAS, SPLITS["test"].cameras)
     others = training_cameras(demos)
     others = np.setdiff1d(others, demo.cameras)
     kind = "validation" if is_valid else "training"
@@ -165,12 +182,41 @@ def demonstration(demos: Demos, number: int) -> Exhibit:
         bodies=bodies,
         viewpoints=(
             *shown,
-            *bystanders(course, poses[others], "training", GREEN),
-            *bystanders(course, test, "test", RED),
+            *trainers(course, demos, others),
+            *bystanders(course, _test_cameras(demos), "test", RED),
         ),
         ways=(grip_way(course, demo.eef_pos),),
         notes=tuple(note for note in (no_bodies, few) if note),
     )
+
+
+def _test_cameras(demos: Demos) -> Camera:
+    """The first cameras of the evaluation, drawn from the ranges of the dataset's."""
+    task, seed = demos.task, SPLITS["test"].cameras
+    poses = sample_poses(task.cameras, TEST_CAMERAS, seed)
+    ranges = optics_ranges(Conditions(**demos.header.ranges), task.fovy_deg)
+    if ranges is None:
+        K = np.broadcast_to(intrinsics(task.fovy_deg, SIDE), (TEST_CAMERAS, 3, 3))
+        return Camera(K, poses, SIDE, SIDE)
+    K, lens = sample_optics(ranges, TEST_CAMERAS, seed)
+    return Camera(at_size(K, SIDE), poses, SIDE, SIDE, lens)
+
+
+def seen_pairs(
+    task: Task, world: World, conditions: Conditions, pairs: Pairs, split: str, numbers: list[int]
+) -> Camera:
+    """The cameras [B, V] that see pairs under conditions, in the world, with pictures of `SIDE`.
+
+    Args:
+        task: What is done.
+        world: Where.
+        conditions: Which.
+        pairs: Which.
+        split: `test` or `validation`.
+        numbers: Of the pairs.
+    """
+    optics = ConditionedPairs(task, world, conditions).seen(pairs, split, numbers, (SIDE, SIDE))
+    return Camera(optics.K, pairs.cameras, SIDE, SIDE, optics.lens)
 
 
 def training_cameras(demos: Demos) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Conditions: texts of one meaning are one, and what cannot be is refused with a sentence."""
 
+import numpy as np
 import pytest
 
 from jaxcam.config.conditions import (
@@ -7,6 +8,7 @@ from jaxcam.config.conditions import (
     Conditions,
     degrees_and_cm,
     lens_spans,
+    of_task,
     several,
     span,
 )
@@ -27,6 +29,15 @@ from jaxcam.errors import ConfigError
         ("aspect", "1:1", ""),
         ("centre", "0", ""),
         ("lens", "opencv:-0.30:0,0.1:0.10", "opencv:-0.3:0,0.1"),
+        ("lens", "opencv:0:0", ""),
+        ("lens", "opencv:0,-0:0", ""),
+        ("lens", "opencv:-0.3:-0,0,0:0", "opencv:-0.3:0"),
+        ("lens", "fisheye:0,0", "fisheye:0"),
+        ("lens", "fisheye:0,0.1,0", "fisheye:0,0.1"),
+        ("centre", "-0:0", ""),
+        ("centre", "-0:0.1", "0:0.1"),
+        ("pose_noise", "-0,1", "0,1"),
+        ("pose_drift", "0,-0", ""),
     ],
 )
 def test_texts_of_one_meaning_become_one(name, text, kept):
@@ -72,8 +83,10 @@ def test_several_are_all_combinations_once():
 
 
 def test_the_task_s_own_field_of_view_is_no_condition():
-    assert Conditions(fovy="45").of_task(45.0) == Conditions()
-    assert Conditions(fovy="44:45").of_task(45.0).fovy == "44:45"
+    assert of_task(Conditions(fovy="45"), 45.0) == Conditions()
+    assert of_task(Conditions(fovy="44:45"), 45.0).fovy == "44:45"
+    assert of_task(Conditions(fovy="57.2958"), float(np.rad2deg(1.0))) == Conditions()
+    assert of_task(Conditions(fovy="57.3"), float(np.rad2deg(1.0))).fovy == "57.3"
 
 
 def test_rows_have_none_of_what_is_usual():

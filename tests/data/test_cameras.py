@@ -5,7 +5,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from many_cameras import CAMERAS, rotated, scaled, seen_by_many, with_poses
+from many_cameras import CAMERAS, rotated, scaled, seen_by_many, with_optics, with_poses
 
 from jaxcam.data.cameras import Fault, camera_faults, require_possible, require_rigid, sights_of
 from jaxcam.data.pictures import load_pictures
@@ -138,3 +138,15 @@ def test_poses_that_are_not_rigid(many, spoil, match):
 def test_a_field_of_view_that_cannot_be_is_refused(many, fovy):
     with pytest.raises(CameraError, match="outside the picture"):
         require_possible(replace(many, header=replace(many.header, fovy_deg=fovy)))
+
+
+def test_fields_of_view_of_their_own_that_are_too_narrow_are_named(many):
+    """Not poses, which no reading mends; those are still named where they are wrong, too."""
+    wide = with_optics(many, fovy="45:70", lens="opencv:-0.1:0")
+    require_possible(wide)
+    narrow = with_optics(many, fovy="2:5")
+    with pytest.raises(CameraError, match=r"own intrinsics .*wider fields of view"):
+        require_possible(narrow)
+    turned = with_poses(wide, opengl_from_opencv(wide.header.world_from_camera))
+    with pytest.raises(CameraError, match="the axes are OpenGL's"):
+        require_possible(turned)

@@ -1,5 +1,6 @@
 """Cameras of a file whose intrinsics differ: collected, kept, sealed, and in what is learned."""
 
+import json
 from dataclasses import replace
 
 import h5py
@@ -13,14 +14,14 @@ from jaxcam.data.collection import (
     camera_windows,
     collect,
     dataset_path,
+    in_task,
     new_header,
-    with_stair,
 )
 from jaxcam.data.demos import read_demos
 from jaxcam.data.pictures import Pictures, views_of
 from jaxcam.data.samples import Layout
 from jaxcam.data.writer import DemoWriter
-from jaxcam.errors import DatasetError
+from jaxcam.errors import CameraError, DatasetError
 from jaxcam.rays import Camera
 from jaxcam.rays.intrinsics import intrinsics
 from jaxcam.sim import make_task
@@ -38,7 +39,7 @@ def alike(tmp_path_factory):
 @pytest.fixture(scope="module")
 def varied(alike):
     """The same ones, filmed by cameras that differ."""
-    config = with_stair(
+    config = in_task(
         CollectConfig(demos=1, validation=1, data_dir=str(alike.path.parent), **OPTICS)
     )
     header = new_header(config, alike.task, alike.world)
@@ -61,6 +62,7 @@ def test_a_file_of_its_own_has_k_and_lens_of_each_camera(alike, varied):
     assert camera_faults(varied).tolerable
     with h5py.File(varied.path) as file:
         assert set(file["cameras"]) == {"world_from_camera", "K", "distortion"}
+        assert "fovy_deg" not in file["cameras"].attrs  # there is none of all
 
 
 def test_without_ranges_nothing_is_written_that_was_not_before(alike):
@@ -121,7 +123,60 @@ def test_a_changed_lens_breaks_the_seal(varied, tmp_path):
 
 
 def test_the_task_s_field_of_view_is_not_varied():
-    config = with_stair(CollectConfig(demos=2, validation=1, fovy="45"))
+    config = in_task(CollectConfig(demos=2, validation=1, fovy="45"))
     task = make_task("lift")
     header = new_header(config, task, task.scene("fixed"))
     assert np.allclose(header.intrinsics(96, 128), intrinsics(45.0, 96, 128), rtol=1e-14)
+    assert header.K is None
+    assert header.optics == {}
+
+
+@pytest.mark.parametrize(("name", "said"), [("K", "fovy 35:55"), ("distortion", "opencv:-0.3:0")])
+def test_ranges_without_their_arrays_are_refused(varied, tmp_path, name, said):
+    """Or all cameras would be taken for the task's."""
+    path = tmp_path / "lost.hdf5"
+    path.write_bytes(varied.path.read_bytes())
+    with h5py.File(path, "r+") as file:
+        del file[f"cameras/{name}"]
+        for seal in ("sha256", "sha256_of_all"):
+            del file["data"].attrs[seal]
+    with pytest.raises(DatasetError, match=f"cameras/{name} is missing.*{said}.*collect it again"):
+        read_demos(path)
+
+
+@pytest.mark.parametrize(
+    ("optics", "words"),
+    [({"fov": "35:55"}, "optics has 'fov'"), ({"fovy": "55:35"}, "fovy must be one value")],
+)
+def test_ranges_that_cannot_be_are_refused(varied, tmp_path, optics, words):
+    path = tmp_path / "odd.hdf5"
+    path.write_bytes(varied.path.read_bytes())
+    with h5py.File(path, "r+") as file:
+        data = file["data"].attrs
+        data["jaxcam"] = json.dumps(json.loads(data["jaxcam"]) | {"optics": optics})
+    with pytest.raises(DatasetError, match=words):
+        read_demos(path)
+
+
+def test_coefficients_that_are_no_numbers_are_refused_without_a_k(varied, tmp_path):
+    path = tmp_path / "nan.hdf5"
+    path.write_bytes(varied.path.read_bytes())
+    with h5py.File(path, "r+") as file:
+        file["cameras/distortion"][0, 0] = np.nan
+        del file["cameras/K"]
+        data = file["data"].attrs
+        data["jaxcam"] = json.dumps(json.loads(data["jaxcam"]) | {"optics": {}})
+    with pytest.raises(CameraError, match="cameras/distortion"):
+        read_demos(path)
+
+
+def test_texts_of_one_meaning_name_one_dataset():
+    """Also where only the task knows that they mean nothing."""
+    usual = dataset_path(CollectConfig())
+    assert dataset_path(CollectConfig(fovy="45", lens="opencv:0:0", centre="-0")) == usual
+    assert dataset_path(CollectConfig(fovy="44:45")) != usual
+
+
+def test_older_headers_have_other_texts_of_one_meaning(varied):
+    older = replace(varied.header, optics={"fovy": "45", "lens": "opencv:-0.3:0,0"})
+    assert older.ranges == {"lens": "opencv:-0.3:0"}

@@ -7,14 +7,21 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxcam.config.conditions import Conditions
 from jaxcam.config.train import TrainConfig
 from jaxcam.data.pairs import make_pairs
 from jaxcam.evaluation.evaluator import VIDEO_PIXELS, Candidate, Evaluator
 from jaxcam.models import Policy, PolicySpec
+from jaxcam.rays import Camera
+from jaxcam.rays.intrinsics import intrinsics
+from jaxcam.rays.lens import pack
 from jaxcam.results.rows import Row
 from jaxcam.results.stats import success_rate
 from jaxcam.runs.identity import resolve
+from jaxcam.sim import make_painter
+from jaxcam.sim.observing import observe
 from jaxcam.sim.rollout import Rollouts
+from jaxcam.sim.types import View
 
 PIXELS, CHUNK, HORIZON, WIDTH = 24, 3, 5, 3
 
@@ -133,18 +140,63 @@ def test_the_settings_of_an_evaluation_come_before_those_of_the_run(evaluator):
     assert Evaluator(config, WIDTH, "native", ensemble=0.0).ensemble == 0.0
 
 
-def test_each_clip_is_seen_by_the_camera_of_its_pair(evaluator):
-    def clips(pairs):
-        qpos = np.asarray(evaluator.pairs("test", pairs).start.qpos)
-        still = np.tile(qpos, (HORIZON + 1, 1, 1))
-        nothing = np.zeros(len(pairs), bool)
-        steps = np.full(len(pairs), HORIZON)
-        return evaluator.clips(Rollouts(nothing, steps, ~nothing, still, ~nothing), "test", pairs)
+def clips(evaluator, pairs):
+    """Of episodes in which nothing moves."""
+    qpos = np.asarray(evaluator.pairs("test", pairs).start.qpos)
+    still = np.tile(qpos, (HORIZON + 1, 1, 1))
+    nothing, steps = np.zeros(len(pairs), bool), np.full(len(pairs), HORIZON)
+    return evaluator.clips(Rollouts(nothing, steps, ~nothing, still, ~nothing), "test", pairs)
 
-    both, (alone,) = clips([0, 1]), clips([1])
+
+def test_each_clip_is_seen_by_the_camera_of_its_pair(evaluator):
+    both, (alone,) = clips(evaluator, [0, 1]), clips(evaluator, [1])
     assert both[0].shape == (HORIZON // 2 + 1, VIDEO_PIXELS, VIDEO_PIXELS, 3)
     np.testing.assert_array_equal(both[1], alone)
     assert np.mean(np.abs(both[0].astype(int) - both[1])) > 5
+
+
+def under(evaluator, conditions, **settings):
+    """The evaluator of the same episodes under conditions."""
+    config = replace(evaluator.config, **settings)
+    return Evaluator(config, WIDTH, "native", conditions=conditions)
+
+
+def test_a_clip_is_seen_through_the_lens_that_the_policy_sees_through(evaluator):
+    """And with its field of view: the picture is what a painter draws of such a camera."""
+    (clip,) = clips(under(evaluator, Conditions(fovy="70", lens="opencv:-0.2")), [1])
+    _, cameras, start = evaluator.pairs("test", [1])
+    painter = make_painter(evaluator.scene, VIDEO_PIXELS, varied=evaluator.task.varied, lenses=True)
+    K = intrinsics(70, VIDEO_PIXELS)[None]
+    lens = np.asarray(pack(np.array([[-0.2, 0, 0, 0]])))
+    view = View(start.qpos, start.geom_size, start.fixtures, K, cameras[:, 0], lens)
+    np.testing.assert_array_equal(clip[0], painter.rgb(view)[0])
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{"ray_frame": "base"}, {"ray_frame": "grip"}, {"rays_from": "nominal"}],
+)
+def test_under_conditions_a_sight_is_what_a_policy_is_told(
+    evaluator, candidate, monkeypatch, settings
+):
+    """Lens, error of the pose, frame of the rays: all that comes to a policy, and nothing else."""
+    conditions = Conditions(pose_noise="3,5", fovy="25:70", lens="opencv:-0.3:-0.1")
+    other, shown = under(evaluator, conditions, **settings), []
+
+    def first(*args):
+        shown.append(observe(*args))
+        raise StopIteration
+
+    monkeypatch.setattr("jaxcam.sim.rollout.observe", first)
+    with pytest.raises(StopIteration):
+        other.run(candidate, "test", [3])
+    picture, rays = other.sight("test", 3)
+    (obs,) = shown
+    np.testing.assert_array_equal(picture, obs["image"][0, 0])
+    assert ("distortion" in obs) == ("rays_from" not in settings)
+    lens = obs["distortion"][0, 0] if "distortion" in obs else None
+    camera = Camera(obs["K"][0, 0], obs["base_from_camera"][0, 0], PIXELS, PIXELS, lens)
+    np.testing.assert_allclose(rays, camera.plucker(), atol=1e-6)
 
 
 def test_the_rays_that_are_shown_are_those_that_a_policy_gets(evaluator):

@@ -1,10 +1,13 @@
-"""Demonstrations that are seen by many cameras, and changes of those cameras' poses."""
+"""Demonstrations that are seen by many cameras, and changes of those cameras."""
 
 from dataclasses import replace
 
 import numpy as np
 
+from jaxcam.config.conditions import Conditions
+from jaxcam.data.header import optics_ranges
 from jaxcam.rays import POSE_RANGES, sample_poses
+from jaxcam.rays.optics import sample_optics
 
 CAMERAS = 60
 
@@ -32,3 +35,11 @@ def scaled(poses, unit):
     poses = poses.copy()
     poses[:, :3, 3] *= unit
     return poses
+
+
+def with_optics(demos, **optics):
+    """The demonstrations, seen by cameras whose intrinsics and lenses are drawn from ranges."""
+    header, task = replace(demos.header, optics=optics), demos.task
+    ranges = optics_ranges(Conditions(**optics), task.fovy_deg)
+    K, lens = sample_optics(ranges, len(header.world_from_camera), 3)
+    return replace(demos, header=replace(header, K=K, distortion=lens))

@@ -116,3 +116,13 @@ def test_somebody_elses_policy_stands_in_the_tables_paired(runs):
     ]
     assert foreign_table(arms_of(runs)) is None
     assert runs_table(theirs[:1], {}).rows[0][1] == "–"
+
+
+def test_somebody_elses_policy_under_other_conditions_is_not_set_against_ours(runs):
+    """It saw other pictures, or was told other poses, than ours on the same pairs."""
+    wrong = foreign("Pi", 0.25, eval_pose_noise="1,1")
+    arms = [*arms_of(runs), *group([wrong])]
+    (row,) = foreign_table(arms).rows
+    assert "eval_pose_noise 1,1" in row[3]
+    assert row[6:8] == ["–", "–"]
+    assert not [r for r in table_one(arms).rows if r[1].startswith("foreign")]

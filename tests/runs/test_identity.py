@@ -40,6 +40,15 @@ def test_resolve_leaves_nothing_open_and_is_idempotent(key, accelerator):
     assert resolve(config, accelerator=not accelerator) is config
 
 
+def test_cameras_of_one_meaning_are_one_run(tmp_path):
+    """Also one whose settings were written down before they had one form."""
+    same = TrainConfig(fovy="45", aspect="1:1", centre="-0", lens="opencv:0:0,0")
+    assert resolve(same, accelerator=False) == LAPTOP
+    (tmp_path / "config.json").write_text(to_json(dataclasses.replace(LAPTOP, fovy="45")))
+    assert read_config(tmp_path) == LAPTOP
+    assert resolve(TrainConfig(fovy="44:45"), accelerator=False).fovy == "44:45"
+
+
 @pytest.mark.parametrize(("space", "rotations"), [("eef_abs", "world"), ("eef_delta", "nominal")])
 def test_a_run_of_version_0_1_0_keeps_its_rotations(tmp_path, space, rotations):
     """Its config.json has no such setting; what it learned were vectors from the world's axes."""

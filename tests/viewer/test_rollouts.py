@@ -7,10 +7,12 @@ import pytest
 from made_runs import make_run
 from served_runs import untrained_run
 
+from jaxcam.config.conditions import Conditions
 from jaxcam.data.pairs import make_pairs
 from jaxcam.data.splits import SPLITS
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.evaluation.checkpoint import Wanted, evaluate
+from jaxcam.evaluation.conditions import ConditionedPairs
 from jaxcam.evaluation.evaluator import Candidate, Evaluator
 from jaxcam.rays import invert
 from jaxcam.runs.identity import read_config
@@ -95,3 +97,24 @@ def test_a_rollout_is_made_anew_and_ends_as_its_row_says(tmp_path):
     assert exhibit.length == row.steps + 1
     assert row.episode_seed == SPLITS["test"].episodes + 1
     assert read_config(folder).task in exhibit.title
+
+
+def test_cameras_have_the_intrinsics_and_lenses_of_the_run_s_conditions(made, lift, scene):
+    """A run whose cameras differ is evaluated with such as it was trained with."""
+    config = json.loads((made / "config.json").read_text())
+    optics = {"fovy": "20:70", "lens": "opencv:-0.3:-0.1"}
+    (made / "config.json").write_text(json.dumps(config | optics))
+    file = without_pairs(made) / "eval" / "rows.jsonl"
+    said = {f"eval_{name}": text for name, text in optics.items()}
+    rows = [json.loads(line) | said for line in file.read_text().splitlines()]
+    file.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    rolled = Rolled.open(made, "test", None)
+    exhibit, numbers = rolled.exhibit(5), list(rolled.pairs())
+    pairs = make_pairs(lift, scene, rolled.config.views, "test", numbers)
+    conditioned = ConditionedPairs(lift, scene, Conditions(**optics))
+    optics_of = conditioned.seen(pairs, "test", numbers, (24, 24))
+    cameras = [v.camera for v in exhibit.viewpoints if v.group == "test"]
+    expected = [5, *(number for number in numbers if number != 5)]
+    np.testing.assert_allclose([c.K for c in cameras], optics_of.K[expected, 0])
+    np.testing.assert_array_equal([c.distortion for c in cameras], optics_of.lens[expected, 0])
+    assert exhibit.viewpoints[0].pictures

@@ -1,12 +1,18 @@
 """Demonstrations of our tasks as exhibits."""
 
+import jax
 import numpy as np
 import pytest
+from many_cameras import with_optics
 
+from jaxcam.config.conditions import Conditions
+from jaxcam.data.header import optics_ranges
+from jaxcam.data.pictures import views_of
 from jaxcam.data.splits import SPLITS
 from jaxcam.errors import SimError
-from jaxcam.rays import invert, sample_poses
-from jaxcam.sim import make_task
+from jaxcam.rays import Camera, invert, sample_poses
+from jaxcam.rays.optics import at_size, sample_optics
+from jaxcam.sim import make_painter, make_task
 from jaxcam.sim.types import Start
 from jaxcam.viewer import simulated
 from jaxcam.viewer.exhibit import GREEN, RED
@@ -61,6 +67,26 @@ def test_a_validation_demonstration_is_of_held_out_cameras(demos):
     assert "for validation" in exhibit.subtitle
 
 
+def test_cameras_that_differ_are_shown_with_their_own_intrinsics_and_lenses(demos):
+    """In pictures, frusta and the rays of pixels; those of the test are drawn as training's."""
+    ranges = {"fovy": "20:70", "lens": "opencv:-0.3:-0.1"}
+    varied = with_optics(demos, **ranges)
+    exhibit, demo = demonstration(varied, 1), varied.episodes[1]
+    shown = [v for v in exhibit.viewpoints if len(v.pictures)]
+    for view, row in zip(shown, demo.cameras, strict=True):
+        np.testing.assert_allclose(view.camera.K, varied.header.intrinsics(24)[row])
+        np.testing.assert_array_equal(view.camera.distortion, varied.header.distortion[row])
+    view_of_all = views_of(demo, varied, 24)
+    painter = make_painter(varied.world, 24, varied=varied.task.varied, lenses=True)
+    first = jax.tree.map(lambda part: part[:1], view_of_all)
+    np.testing.assert_array_equal(shown[0].pictures[0], painter.rgb(first)[0])
+    test = [v.camera for v in exhibit.viewpoints if v.group == "test"]
+    optics = optics_ranges(Conditions(**ranges), varied.task.fovy_deg)
+    K, lens = sample_optics(optics, len(test), SPLITS["test"].cameras)
+    np.testing.assert_allclose([c.K for c in test], at_size(K, 24))
+    np.testing.assert_array_equal([c.distortion for c in test], lens)
+
+
 def test_where_nothing_can_be_drawn_cameras_are_shown_all_the_same(demos, monkeypatch):
     def refuse(self):
         raise SimError("no renderer")
@@ -81,7 +107,8 @@ def test_objects_of_maniskill_are_boxes_where_their_states_have_them():
     name = world.objects[0]
     at = world.qpos_of(name)
     qpos[1, at : at + 3] = 0.1, 0.2, 0.03
-    course = Course(task, world, start, qpos, np.eye(4)[None], test=False)
+    camera = Camera.from_fovy(np.ones(1), 8, 8)
+    course = Course(task, world, start, qpos, camera, test=False)
     bodies, note = course.bodies()
     assert [b.name for b in bodies] == [*world.objects, *task.markers]
     place = world.world_from_base @ [*bodies[0].base_from_body[1, :3, 3], 1]

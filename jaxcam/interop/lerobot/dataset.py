@@ -19,6 +19,7 @@ from jaxcam.config.datasets import LerobotConfig
 from jaxcam.console.progress import progress
 from jaxcam.data.batches import Dataset, make_dataset
 from jaxcam.data.demos import Demos, read_demos
+from jaxcam.data.header import Header
 from jaxcam.data.pictures import load_pictures
 from jaxcam.errors import DatasetError
 from jaxcam.files.locks import exclusive
@@ -102,14 +103,14 @@ def _about(config: LerobotConfig, demos: Demos, data: Dataset, scene: World) -> 
         "task": header.task,
         "scene": header.scene,
         "action_space": config.action_space,
-        "intrinsics": data.K[0].tolist(),
-        "fovy_deg": header.fovy_deg,
+        **_optics(header, data),
         "image_size": list(data.pictures.rgb.shape[1:3]),
         "world_from_base": scene.world_from_base.tolist(),
         "nominal_grip": scene.nominal_grip.tolist(),
         "conventions": {
             "camera": "OpenCV axes: x right, y down, z forward; pixel (i, j) has its centre at "
             "(j + 0.5, i + 0.5)",
+            **_whose_optics(header, data),
             "base_from_camera": "p_base = base_from_camera @ p_camera; metres, robot's base",
             "actions": _meaning(config.action_space),
             "gripper": "positive closes",
@@ -117,6 +118,25 @@ def _about(config: LerobotConfig, demos: Demos, data: Dataset, scene: World) -> 
         "source": {"fingerprint": demos.fingerprint, "versions": header.versions},
         "jaxcam": version("jaxcam"),
     }
+
+
+def _optics(header: Header, data: Dataset) -> dict[str, Any]:
+    """The intrinsics and the field of view of all cameras; None where they differ."""
+    if np.ptp(data.K, 0).any():
+        return {"intrinsics": None, "fovy_deg": None}
+    fovy = header.fovy_deg if header.K is None else float(np.rad2deg(header.camera(0, 1).fovy))
+    return {"intrinsics": data.K[0].tolist(), "fovy_deg": fovy}
+
+
+def _whose_optics(header: Header, data: Dataset) -> dict[str, str]:
+    """Where each camera's intrinsics and lens are, if they have their own."""
+    if header.K is None and header.distortion is None:
+        return {}
+    drawn = ", ".join(f"{name} {text}" for name, text in header.ranges.items())
+    said = "each camera's own: camera.<view>.intrinsics"
+    if data.distortion is not None:
+        said += ", and camera.<view>.distortion as jaxcam.rays.lens.pack has it"
+    return {"intrinsics": said + (f"; drawn from {drawn}" if drawn else "")}
 
 
 def _meaning(space: str) -> str:

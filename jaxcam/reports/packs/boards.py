@@ -15,8 +15,10 @@ from jaxcam.reports.packs.directions import DirectionMap, direction_maps
 from jaxcam.reports.packs.pack import Pack
 from jaxcam.reports.tables import NONE
 from jaxcam.results.differences import PairedDifference
+from jaxcam.results.rows import CONDITIONS
 from jaxcam.results.stats import Estimate, p_text
 from jaxcam.runs.foreign import NOT_SAID
+from jaxcam.runs.identity import plain
 
 MOST = 200
 """Settings of one task on a page: each is compared with each other one."""
@@ -101,7 +103,7 @@ class OverTasks:
 
 @dataclass(frozen=True)
 class BoardOfRuns:
-    """All settings of one task, scene and number of cameras, the best one first.
+    """All settings of one task, scene, number of cameras and conditions, the best one first.
 
     Attributes:
         task: Its title.
@@ -125,15 +127,18 @@ def boards_of(packs: Sequence[Pack], split: str) -> list[BoardOfRuns]:
         ConfigError: No pack has rollouts of such pairs, or there are too many settings.
     """
     names = pack_names(packs)
-    kinds: dict[tuple[str, str, int | None], list[tuple[Arm, str]]] = {}
+    kinds: dict[tuple[str, str, int | None, tuple[str, ...]], list[tuple[Arm, str]]] = {}
     for pack, name in zip(packs, names, strict=True):
         if pack.manifest.split == split:
             for arm in group(run for run in pack.runs if run.rows):
-                kinds.setdefault(kind_of_pairs(arm.settings), []).append((arm, name))
+                kind = *kind_of_pairs(arm.settings), _conditions(arm)
+                kinds.setdefault(kind, []).append((arm, name))
     if not kinds:
         raise ConfigError(f"None of the packs has rollouts of {split} pairs. Give another --split.")
-    tasks = [*paper.TASKS, *sorted({task for task, _, _ in kinds} - paper.TASKS.keys())]
-    order = sorted(kinds, key=lambda kind: (tasks.index(kind[0]), kind[1] == "fixed", str(kind)))
+    tasks = [*paper.TASKS, *sorted({task for task, *_ in kinds} - paper.TASKS.keys())]
+    order = sorted(
+        kinds, key=lambda k: (tasks.index(k[0]), k[1] == "fixed", str(k[2]), len(k[3]), k[3])
+    )
     return [_board(*kind, kinds[kind]) for kind in order]
 
 
@@ -163,8 +168,19 @@ def pack_names(packs: Sequence[Pack]) -> list[str]:
     return [m.name if count[m.name] == 1 else f"{m.name} [{m.digest[:8]}]" for m in manifests]
 
 
+def _conditions(arm: Arm) -> tuple[str, ...]:
+    """What was varied in an arm's evaluation, in words: what is seen otherwise is no other rank."""
+    said = ((name, arm.settings.get(name)) for name in CONDITIONS)
+    words = (f"{name.removeprefix('eval_')} {plain(value)}" for name, value in said if value)
+    return tuple(map(plain_line, words))
+
+
 def _board(
-    task: str, scene: str, views: int | None, arms: Sequence[tuple[Arm, str]]
+    task: str,
+    scene: str,
+    views: int | None,
+    conditions: tuple[str, ...],
+    arms: Sequence[tuple[Arm, str]],
 ) -> BoardOfRuns:
     if len(arms) > MOST:
         raise ConfigError(
@@ -183,17 +199,22 @@ def _board(
             Line(
                 policy=title,
                 pose=pose,
-                details=plain_line(arm.label()),
+                details=plain_line(arm.label(*CONDITIONS)),
                 pack=name,
                 estimate=arm.estimate,
                 rollouts=arm.count(),
                 map=maps[i],
                 against=tuple(_against(arms, i, k) for k in range(len(arms))),
-                entry=(title, pose, plain_line(arm.label("engine")), name),  # a task brings its own
+                entry=(
+                    title,
+                    pose,
+                    plain_line(arm.label("engine", *CONDITIONS)),
+                    name,
+                ),  # a task brings its own
             )
         )
     cameras = [] if views == usual_views(task) else [f"{views} cameras"]
-    title = ", ".join([paper.task_title(task), f"{scene} scene", *cameras])
+    title = ", ".join([paper.task_title(task), f"{scene} scene", *cameras, *conditions])
     return BoardOfRuns(paper.task_title(task), title, tuple(lines))
 
 

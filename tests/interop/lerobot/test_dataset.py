@@ -12,6 +12,7 @@ from dataclasses import replace
 import av
 import numpy as np
 import pytest
+from many_cameras import with_optics
 from scipy.spatial.transform import Rotation
 
 pytest.importorskip("pyarrow", reason="jaxcam[lerobot] is not installed")
@@ -20,6 +21,8 @@ from pyarrow import parquet
 
 from jaxcam.config.datasets import LerobotConfig
 from jaxcam.data.batches import make_dataset
+from jaxcam.data.demos import read_demos
+from jaxcam.data.writer import DemoWriter
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.interop.calibrations import calibrated, require_calibrated, sources
 from jaxcam.interop.lerobot import format as lerobot_format
@@ -166,6 +169,32 @@ def test_metadata_tells_the_cameras(folder, data, demos, lift):
     )
     assert (about["task"], about["action_space"]) == ("lift", "eef_abs")
     assert about["source"]["fingerprint"] == demos.fingerprint
+
+
+@pytest.mark.parametrize(
+    ("optics", "is_one_k"),
+    [({"fovy": "30:60", "lens": "opencv:-0.3:0"}, False), ({"fovy": "60"}, True)],
+)
+def test_metadata_has_no_k_of_all_cameras_where_they_differ(demos, tmp_path, optics, is_one_k):
+    """Each row has its camera's own, and the metadata says so."""
+    varied = with_optics(demos, **optics)
+    header = replace(varied.header, train=1, valid=0)
+    with DemoWriter(tmp_path / "varied.hdf5", header) as writer:
+        writer.append(0, demos.train[0])
+        writer.finish()
+    varied = read_demos(tmp_path / "varied.hdf5")
+    folder = export_dataset(config(varied, tmp_path / "out"))
+    about, K = read_json(folder, "jaxcam"), varied.header.intrinsics(PIXELS)
+    assert "camera.<view>.intrinsics" in about["conventions"]["intrinsics"]
+    assert f"drawn from fovy {optics['fovy']}" in about["conventions"]["intrinsics"]
+    if is_one_k:
+        np.testing.assert_allclose(about["intrinsics"], K[0], rtol=1e-6)
+        assert about["fovy_deg"] == pytest.approx(60)
+    else:
+        assert about["intrinsics"] is about["fovy_deg"] is None
+        assert "camera.<view>.distortion" in about["conventions"]["intrinsics"]
+    sight = next(iter(read_lerobot(folder).episodes[0].sights.values()))
+    np.testing.assert_allclose(sight.calibration.K, K[demos.train[0].cameras[0]], rtol=1e-6)
 
 
 def test_metadata_tells_what_rotations_are_counted_from(folder, data, demos):

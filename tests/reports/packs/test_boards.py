@@ -73,6 +73,20 @@ def test_other_numbers_of_cameras_are_another_board(tmp_path):
     assert titles == ["Lift, randomized scene", "Lift, randomized scene, 2 cameras"]
 
 
+def test_other_conditions_of_an_evaluation_are_another_board(tmp_path):
+    """Success with wrong poses, or through other lenses, is no rank among those without."""
+    wrong = foreign("A", 0.25, eval_pose_noise="1,1", eval_lens="opencv:-0.3:0")
+    boards = boards_of([pack_of(tmp_path / "a", [foreign("A"), foreign("B", 1.0), wrong])], "test")
+    assert [board.title for board in boards] == [
+        "Lift, randomized scene",
+        "Lift, randomized scene, pose_noise 1,1, lens opencv:-0.3:0",
+    ]
+    assert [[line.policy for line in board.lines] for board in boards] == [["B", "A"], ["A"]]
+    assert {line.details for board in boards for line in board.lines} == {"settings of its own"}
+    (row,) = over_tasks(boards)
+    assert [line and line.estimate.value for line in row.lines] == [0.5, 0.25]
+
+
 def test_policies_on_several_boards_stand_side_by_side(tmp_path):
     theirs = [foreign("Pi"), foreign("Pi", task="push", engine="sapien", rate=1.0)]
     theirs += [foreign("A"), foreign("A", task="push", note="another")]
