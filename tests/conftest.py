@@ -3,8 +3,10 @@
 Fixtures import what they need: most tests need neither JAX nor a simulator.
 """
 
+import atexit
 import gc
 import os
+import shutil
 import sys
 import tempfile
 from dataclasses import replace
@@ -14,6 +16,12 @@ import pytest
 
 os.environ["JAXCAM_CACHE"] = tempfile.mkdtemp(prefix="jaxcam-tests-")
 """Tests neither see nor change how long jobs took on this machine."""
+if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+    # What one worker or command has compiled, the others of the session load. Workers inherit it.
+    compiled = tempfile.mkdtemp(prefix="jaxcam-compiled-")
+    atexit.register(shutil.rmtree, compiled, ignore_errors=True)
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = compiled
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
 TINY = {"demos": 4, "validation": 2}
 """Settings of the session's dataset."""
 PIXELS = 24

@@ -34,6 +34,7 @@ def together(what, folder):
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     variables = {"JAX_COORDINATOR_ADDRESS": f"127.0.0.1:{port}", "JAX_NUM_PROCESSES": "2"}
+    variables["JAX_ENABLE_COMPILATION_CACHE"] = "false"  # neither leans on what the other compiled
     both = [start(what, folder, **variables, JAX_PROCESS_ID=str(i)) for i in range(2)]
     words = [process.communicate(timeout=240)[0] for process in both]
     return [process.returncode for process in both], words

@@ -5,10 +5,13 @@ import os
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from pages import blocks_of
 from places import REPO
+
+import jaxcam
 
 SCRIPT = """
 import json, sys
@@ -95,7 +98,8 @@ def changed(text, diff):
 def followed(tmp_path_factory):
     """What a copy of jaxcam does that has been changed as all recipes say."""
     root = tmp_path_factory.mktemp("recipes")
-    shutil.copytree(REPO / "jaxcam", root / "jaxcam")  # with what was compiled of it
+    installed = Path(jaxcam.__file__).parent  # with what was compiled of it
+    shutil.copytree(installed, root / "jaxcam")
     steps = 0
     for block in blocks_of(REPO / "CONTRIBUTING.md"):
         head, _, rest = block.text.partition("\n")

@@ -45,6 +45,7 @@ def test_whole_path(name, scene, space, tmp_path, monkeypatch, request):
     config = TrainConfig(
         task=name, scene=scene, action_space=space, demos=2, validation=1, steps=4, batch=4,
         resolution=24, pairs=2, log_every=2, eval_every=4, save_every=4,
+        model=("width=16", "layers=1", "encoder_width=8", "encoder_depth=1", "keypoints=4"),
         data_dir=str(tmp_path / "data"), run_dir=str(tmp_path / "run"),
     )  # fmt: skip
     assert train(config) == 0

@@ -34,7 +34,7 @@ TOY = {
     "diffusion": (
         "lerobot",
         ("chunk=4", "obs_steps=2", "encoder=small", "encoder_width=8", "encoder_depth=1",
-         "keypoints=3", "features=8", "channels=(8,16)", "step_width=8", "crop=12",
+         "keypoints=3", "features=8", "channels=(8,)", "step_width=8", "crop=12",
          "sample_steps=2"),
     ),
     "smolvla": (

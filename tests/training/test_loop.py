@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import logging
-import os
 import shutil
 import signal
 import subprocess
@@ -256,13 +255,10 @@ def test_killed_training_ends_bit_equal(demos, tmp_path):
              "data_dir": demos.path.parent}  # fmt: skip
     words = [x for k, v in flags.items() for x in ("--" + k.replace("_", "-"), str(v))]
 
-    # The first process compiles, the others start sooner.
-    variables = {**os.environ, "JAX_COMPILATION_CACHE_DIR": str(tmp_path / "compiled")}
-
     def until(folder, step):
         command = [sys.executable, "-m", "jaxcam.train", *words, "--run-dir", str(folder)]
         with subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=variables
+            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, cwd=tmp_path
         ) as process:
             deadline = time.monotonic() + 240
             while not (folder / "checkpoints" / str(step)).exists():
