@@ -140,7 +140,7 @@ def arm(cameras: range, folder: Path) -> tuple[tuple[str, ...], np.ndarray]:
 
 
 def drift(cameras: range, folder: Path) -> None:
-    """False alarms of episodes in which nothing moved, and moves of 1 degree or 1 cm that are found.
+    """False alarms of episodes in which nothing moved, and moves of 1 degree or 1 cm that are seen.
 
     In each trial the camera is said to be elsewhere than it was in the last three of eight
     episodes, by a turn or a shift in a direction drawn at random.

@@ -74,6 +74,12 @@ def moved(pose: np.ndarray, change: np.ndarray) -> np.ndarray:
     return result
 
 
+def change_of(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """The motion that makes one pose [4, 4] of another, as in `moved`: metres and radians, [6]."""
+    change = np.linalg.inv(before) @ after
+    return np.r_[change[:3, 3], Rotation.from_matrix(change[:3, :3]).as_rotvec()]
+
+
 def pose_of(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
     """Poses [..., 4, 4] of rotations [..., 3, 3] and positions [..., 3]."""
     pose = np.zeros((*np.shape(position)[:-1], 4, 4))

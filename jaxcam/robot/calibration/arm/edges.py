@@ -14,6 +14,8 @@ STEP = 0.5
 """Pixels between samples along a normal."""
 SIDE = 3.0
 """Pixels on each side of an edge that are compared."""
+BLURRED = 3
+"""Samples on each side of a cut that may be blurred."""
 NOISE = 4.0
 """Levels (of 255) by which sides differ without an edge."""
 CLEAR = 4.0
@@ -64,6 +66,8 @@ def find_edges(
         normals: Outwards, [n, 2].
         reach: How far is looked (pixels).
     """
+    if not len(pixels):  # which OpenCV refuses
+        return EdgeOffsets(np.zeros(0), np.zeros(0, bool), np.zeros(0))
     side = round(SIDE / STEP)
     along = np.arange(-reach - SIDE, reach + SIDE + STEP / 2, STEP)
     at = pixels[:, None] + along[:, None] * normals[:, None] - 0.5
@@ -97,9 +101,7 @@ def find_edges(
         best = around[rows, score[rows[:, None], around].argmax(1)]
     best = np.clip(best, 1, score.shape[1] - 2)
     a, b, c = (score[rows, best + i] for i in (-1, 0, 1))
-    curve = a - 2 * b + c
-    shift = np.where(curve < 0, 0.5 * (a - c) / np.where(curve < 0, curve, 1), 0)
-    offsets = places[best] + np.clip(shift, -1, 1) * STEP
+    offsets = places[best] + STEP * _halfway(values, best + side, inner, outer)
     contrast = np.sqrt(between[rows, best])
     clear = (
         ~rising[rows, best]
@@ -110,3 +112,34 @@ def find_edges(
         & (abs(offsets) <= reach)
     )
     return EdgeOffsets(offsets, clear, contrast)
+
+
+def _halfway(
+    values: np.ndarray, cut: np.ndarray, inner: np.ndarray, outer: np.ndarray
+) -> np.ndarray:
+    """Where profiles are halfway between both sides of a cut: samples outwards from it, [n].
+
+    A hand in motion is blurred, and so is what a lens makes of an edge: the edge is the middle of
+    the ramp, not its steepest part. Where there is no such place, the cut stays.
+
+    Args:
+        values: Profiles, [n, samples, 3].
+        cut: The sample that begins the outer side, [n].
+        inner: The inner side's mean for every cut, [n, cuts, 3].
+        outer: Likewise.
+    """
+    rows, side = np.arange(len(values)), round(SIDE / STEP)
+    last = inner.shape[1] - 1
+    within = inner[rows, np.clip(cut - side - BLURRED, 0, last)]
+    beyond = outer[rows, np.clip(cut - side + BLURRED, 0, last)]
+    across = within - beyond
+    near = np.clip(cut[:, None] + np.arange(-side, side), 0, values.shape[1] - 1)
+    level = ((values[rows[:, None], near] - beyond[:, None]) * across[:, None]).sum(-1)
+    level = level / np.maximum((across**2).sum(-1), 1e-9)[:, None] - 0.5
+    falls = (level[:, :-1] >= 0) & (level[:, 1:] < 0)
+    drop = np.where(falls, level[:, :-1] - level[:, 1:], 1)
+    # Sample `side` of `near` begins the outer side; a cut lies half a sample before it.
+    where = np.arange(2 * side - 1) + level[:, :-1] / drop - side + 0.5
+    where = np.where(falls, where, np.inf)
+    best = where[rows, np.abs(where).argmin(1)]
+    return np.where(np.isfinite(best), best, 0.0)

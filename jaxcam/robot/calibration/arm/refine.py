@@ -193,6 +193,20 @@ class Refiner:
         assert refined is not None
         return refined
 
+    def equations(self, solution: Solution, reach: float) -> "Equations":
+        """What pictures ask for near a solution, weighted as these pictures alone would be.
+
+        Args:
+            solution: Near which is looked.
+            reach: Pixels within which edges are looked for, of a picture 256 high.
+        """
+        looked, held = (
+            self.look(solution, reach * self.scale),
+            _held(Prior(solution.joints), self.arm.joints),
+        )
+        J = self.slopes(solution, looked)
+        return _robust(J, looked, reach * self.scale / 4, held, 0 * held)[2]
+
 
 def placed_direction(inverse: np.ndarray, slopes: np.ndarray, points: np.ndarray) -> np.ndarray:
     """What points of links [n, 3] move by before the camera, by their poses' slopes [n, 4, 4]."""
@@ -234,6 +248,43 @@ class Refined:
         return float((self.looked.clear & (abs(self.left) < near)).mean())
 
 
+@dataclass(frozen=True)
+class Equations:
+    """What pictures ask for: motions x of camera, joints and clock, in `normal @ x = pull`."""
+
+    normal: np.ndarray = field(repr=False)
+    """[6 + joints + 1] squared."""
+    pull: np.ndarray = field(repr=False)
+    """[6 + joints + 1]."""
+    variance: float
+    """Of an offset (pixels squared); neighbours count as one."""
+
+
+def _held(prior: Prior, joints: int) -> np.ndarray:
+    """One over the variances that were known beforehand, [6 + joints + 1]."""
+    sigmas = np.r_[np.full(joints, prior.joint_sigma), prior.lag_sigma]
+    return np.r_[np.full(6, 1e-6), 1 / sigmas**2]
+
+
+def _robust(
+    J: np.ndarray, looked: Looked, sure: float, held: np.ndarray, back: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, Equations]:
+    """The solution, the points' weights, and the equations that they lead to."""
+    x, equations = np.zeros(J.shape[1]), None
+    weights = looked.clear.astype(float)
+    for _ in range(8):
+        left = looked.offsets - J @ x
+        spread = 1.48 * np.median(abs(left[looked.clear])) if looked.clear.any() else 1.0
+        soft = max(min(2 * spread, sure), 0.5)
+        weights = looked.clear / (1 + (left / soft) ** 2)
+        variance = max(spread, 0.2) ** 2 * CROWD
+        weighted = (J * weights[:, None]).T / variance
+        equations = Equations(weighted @ J, weighted @ looked.offsets, variance)
+        x = np.linalg.solve(equations.normal + np.diag(held), equations.pull - back)
+    assert equations is not None
+    return x, weights, equations
+
+
 def solve_pose(
     solution: Solution, J: np.ndarray, looked: Looked, sure: float, prior: Prior
 ) -> Refined:
@@ -249,20 +300,11 @@ def solve_pose(
         sure: Pixels from which on an edge counts less (Cauchy).
         prior: What is known of joints and clock.
     """
-    count = len(solution.joints)
-    held = np.r_[np.full(6, 1e-6), np.full(count, 1 / prior.joint_sigma**2), 1 / prior.lag_sigma**2]
+    held = _held(prior, len(solution.joints))
     now = np.r_[np.zeros(6), solution.joints - prior.joints, solution.lag - prior.lag]
-    x, weights, variance = np.zeros(len(now)), looked.clear.astype(float), 1.0
-    normal = np.diag(held)
-    for _ in range(8):
-        left = looked.offsets - J @ x
-        spread = 1.48 * np.median(abs(left[looked.clear])) if looked.clear.any() else 1.0
-        soft = max(min(2 * spread, sure), 0.5)
-        weights = looked.clear / (1 + (left / soft) ** 2)
-        variance = max(spread, 0.2) ** 2 * CROWD
-        normal = (J * weights[:, None]).T @ J / variance + np.diag(held)
-        pull = (J * weights[:, None]).T @ looked.offsets / variance - held * now
-        x = np.linalg.solve(normal, pull)
+    x, weights, equations = _robust(J, looked, sure, held, held * now)
+    variance = equations.variance
+    normal = equations.normal + np.diag(held)
     left = looked.offsets - J @ x
     pulls = J * (weights * np.where(looked.clear, left, 0))[:, None] / variance
     pictures = np.zeros((int(looked.rows.max(initial=0)) + 1, len(x)))

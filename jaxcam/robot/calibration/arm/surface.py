@@ -10,12 +10,15 @@ from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
+from scipy.spatial import cKDTree
 
 from jaxcam.robot.calibration.arm.model import LinkSurface
 from jaxcam.robot.calibration.projection import placed
 
 BEYOND = 2.0
 """Pixels beyond a contour at which nothing of the arm may be."""
+WALL, ALIKE = 0.4, 0.8
+"""Pixels from which on another contour is beyond a point, and the cosine of how alike they run."""
 PIECES = 100
 """Into so many an edge is cut at most."""
 CLOSED = 3
@@ -179,16 +182,37 @@ def _at(mask: np.ndarray, pixels: np.ndarray) -> np.ndarray:
 
 
 def _thinned(outline: Contour, size: tuple[int, int], spacing: float) -> Contour:
-    """One point in each cell of the picture and direction."""
+    """One point in each cell of the picture and direction, with nothing of the contour beyond it.
+
+    Meshes have walls within walls, whose contours lie a little inside of what is seen.
+    """
     inside = ((outline.pixels > 1) & (outline.pixels < np.array(size) - 1)).all(-1)
     cell = np.floor(outline.pixels / spacing).astype(int)
     turn = np.floor(np.arctan2(outline.normals[:, 1], outline.normals[:, 0]) / (np.pi / 4)).astype(
         int
     )
     keys = np.c_[cell, turn]
+    outwards = (outline.pixels * outline.normals).sum(-1)
     order = np.flatnonzero(inside)
+    order = order[np.argsort(-outwards[order], kind="stable")]
     _, first = np.unique(keys[order], axis=0, return_index=True)
-    keep = order[first]
+    keep = np.sort(order[first])
+    keep = keep[~_surpassed(outline.pixels[keep], outline.normals[keep], spacing)]
     return Contour(
         outline.points[keep], outline.owners[keep], outline.pixels[keep], outline.normals[keep]
     )
+
+
+def _surpassed(pixels: np.ndarray, normals: np.ndarray, spacing: float) -> np.ndarray:
+    """Which points [n, 2] have another, of about their direction, right beyond them; bool [n]."""
+    result = np.zeros(len(pixels), bool)
+    if len(pixels):
+        pairs = cKDTree(pixels).query_pairs(np.hypot(BEYOND, spacing / 2), output_type="ndarray")
+        pairs = np.concatenate([pairs, pairs[:, ::-1]])
+        one, other = pairs.T
+        way = pixels[other] - pixels[one]
+        out = (way * normals[one]).sum(-1)
+        aside = np.abs(way[:, 0] * normals[one, 1] - way[:, 1] * normals[one, 0])
+        alike = (normals[one] * normals[other]).sum(-1) > ALIKE
+        result[one[alike & (out > WALL) & (aside < spacing / 2)]] = True
+    return result

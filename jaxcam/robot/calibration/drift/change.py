@@ -1,20 +1,28 @@
 """By how much a camera moved: what each episode's pictures ask for, tested against no change.
 
 From the pose that is given, the arm's contours are put on the edges of one episode's pictures
-alone. Faults of the joints ask for a change in all episodes alike, so a change is held against that
-of the episodes that agree with each other and lie nearest to the given poses.
+alone. Faults of the joints ask for a change in all episodes alike, so changes are held against
+those of the rest.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from jaxcam.robot.calibration.arm.film import Film
 from jaxcam.robot.calibration.arm.model import ArmModel
 from jaxcam.robot.calibration.arm.refine import Prior, Refined, Refiner, Solution
-from jaxcam.robot.calibration.projection import moved
+from jaxcam.robot.calibration.drift.shared import Shared, shared_faults
+from jaxcam.robot.calibration.drift.still import (
+    FLOOR,
+    LIMIT,
+    distances,
+    doubt,
+    mean,
+    still_episodes,
+)
+from jaxcam.robot.calibration.projection import change_of, moved
 
 REACHES = (14.0, 8.0, 5.0)
 """Pixels within which edges are looked for, with the joints free."""
@@ -22,19 +30,12 @@ LAST = (5.0, 4.0)
 """Likewise, with the joints as most episodes have them."""
 HELD = np.deg2rad(0.02)
 """Standard deviation (rad) that joints then have."""
+HELD_LAG = 0.002
+"""Likewise of the lag (s)."""
+SHARED = (5.0, 5.0, 4.0)
+"""Pixels, as above, with joints and clock as all episodes have them."""
 SUPPORT, NEAR = 0.3, 2.0
 """Share of the contour that must lie on edges within so many pixels."""
-FLOOR = 0.0015, np.deg2rad(0.07)
-"""Standard deviations (m, rad) that a change has at least."""
-LIMIT = 30.0
-"""Squared distance, in standard deviations, beyond which a camera has moved. Of six normal numbers
-one in 25 000 has 30; those of so few pictures have longer tails."""
-LEAST = 0.004, np.deg2rad(0.25)
-"""Changes (m, rad) below both of which nothing is said."""
-SHARE = 0.25
-"""Share of the episodes that must agree to be what others are held against."""
-TYPICAL = 5.35
-"""Median of the squared length of six normal numbers."""
 
 
 @dataclass(frozen=True)
@@ -95,24 +96,23 @@ def ask(arm: ArmModel, film: Film, given: np.ndarray) -> AskedChange:
     return _asked(refiner, refined, given, film)
 
 
-def ask_again(arm: ArmModel, film: Film, asked: AskedChange, joints: np.ndarray) -> AskedChange:
+def ask_again(arm: ArmModel, film: Film, asked: AskedChange, shared: Shared) -> AskedChange:
     """The same with the joints as most episodes have them.
 
     Args:
         arm: The robot.
         film: Of the episode.
         asked: What was asked with the joints free.
-        joints: Their faults (rad), [joints].
+        shared: The faults of joints and clock that all episodes share.
     """
     refiner = Refiner(arm, film)
-    start = Solution(moved(asked.given, asked.change), joints, 0.0)
-    refined = refiner.refine(start, LAST, Prior(joints, joint_sigma=HELD))
+    start = Solution(moved(asked.given, asked.change), shared.joints, shared.lag)
+    refined = refiner.refine(start, LAST, Prior(shared.joints, shared.lag, HELD, HELD_LAG))
     return _asked(refiner, refined, asked.given, film)
 
 
 def _asked(refiner: Refiner, refined: Refined, given: np.ndarray, film: Film) -> AskedChange:
-    pose = np.linalg.inv(given) @ refined.solution.base_from_camera
-    change = np.r_[pose[:3, 3], Rotation.from_matrix(pose[:3, :3]).as_rotvec()]
+    change = change_of(given, refined.solution.base_from_camera)
     return AskedChange(
         int(film.episodes[0]), given, change, refined.covariance,
         refined.support(NEAR * refiner.scale), refined.solution.joints,
@@ -137,10 +137,17 @@ def with_common_joints(
     arm: ArmModel, films: Sequence[Film], first: Sequence[AskedChange]
 ) -> list[AskedChange]:
     """What episodes ask for, once they have the joints in common."""
-    clear = [a.joints for a in first if a.clear] or [np.zeros(arm.joints)]
-    joints = np.median(clear, 0)
+    clear = [(Refiner(arm, film), a) for film, a in zip(films, first, strict=True) if a.clear]
+    if not clear:
+        return list(first)
+    shared = shared_faults(
+        [refiner for refiner, _ in clear],
+        [a.given for _, a in clear],
+        [moved(a.given, a.change) for _, a in clear],
+        SHARED,
+    )
     return [
-        ask_again(arm, film, a, joints) if a.clear else a
+        ask_again(arm, film, a, shared) if a.clear else a
         for film, a in zip(films, first, strict=True)
     ]
 
@@ -155,27 +162,15 @@ def judged_changes(asked: Sequence[AskedChange]) -> list[Tested]:
     if not clear:
         return []
     changes = np.stack([a.change for a in clear])
-    floor = np.diag(np.square(np.repeat(FLOOR, 3)))
-    spreads = np.stack([a.covariance for a in clear]) + floor
-    agree = _distances(changes[:, None] - changes[None], spreads[:, None] + spreads[None]) < LIMIT
-    # Of the groups that are large enough, that which is nearest to no change at all.
-    large = agree.sum(1) >= max(SHARE * len(clear), min(2, len(clear)))
-    sizes = _sizes(changes)
-    candidates = np.flatnonzero(large) if large.any() else np.arange(len(clear))
-    nearest = candidates[np.argmin(sizes[candidates])]
-    group = np.flatnonzero(agree[nearest])
-    weights = np.linalg.inv(spreads[group])
-    common = np.linalg.solve(weights.sum(0), np.einsum("nij,nj->i", weights, changes[group]))
-    own = _distances(changes[group] - common, spreads[group])
-    scale = max(1.0, float(np.median(own)) / TYPICAL) if len(group) > 3 else 1.0
-    rest = changes - common
-    distances = _distances(rest, scale * spreads)
-    far = (np.linalg.norm(rest[:, :3], axis=-1) > LEAST[0]) | (
-        np.linalg.norm(rest[:, 3:], axis=-1) > LEAST[1]
-    )
+    spreads = np.stack([a.covariance for a in clear]) + FLOOR
+    spreads = spreads * doubt(changes, spreads)
+    still = still_episodes(changes, spreads)
+    rest = changes - mean(changes[still], spreads[still])[0]
     return [
-        Tested(a, change, float(d), bool(f and d > LIMIT))
-        for a, change, d, f in zip(clear, rest, distances, far, strict=True)
+        Tested(replace(a, covariance=spread), change, float(far), not stood)
+        for a, change, spread, far, stood in zip(
+            clear, rest, spreads, distances(rest, spreads), still, strict=True
+        )
     ]
 
 
@@ -183,13 +178,12 @@ def runs_of(episodes: Sequence[Tested]) -> list[list[Tested]]:
     """Episodes in a row in which a camera had moved, and had moved alike."""
     runs: list[list[Tested]] = []
     before: Tested | None = None
-    floor = np.diag(np.square(np.repeat(FLOOR, 3)))
     for one in episodes:
         if one.moved:
-            alike = before is not None and before.moved and _distances(
+            alike = before is not None and before.moved and distances(
                 (one.change - before.change)[None],
-                (one.asked.covariance + before.asked.covariance + 2 * floor)[None],
-            )[0] < 2 * LIMIT  # fmt: skip
+                (one.asked.covariance + before.asked.covariance)[None],
+            )[0] < LIMIT  # fmt: skip
             if alike:
                 runs[-1].append(one)
             else:
@@ -200,23 +194,6 @@ def runs_of(episodes: Sequence[Tested]) -> list[list[Tested]]:
 
 def _averaged(run: list[Tested]) -> list[Tested]:
     """Episodes of one place, each with the change that all of them ask for."""
-    floor = np.diag(np.square(np.repeat(FLOOR, 3)))
-    weights = np.linalg.inv(np.stack([one.asked.covariance + floor for one in run]))
     changes = np.stack([one.change for one in run])
-    mean = np.linalg.solve(weights.sum(0), np.einsum("nij,nj->i", weights, changes))
-    return [replace(one, change=mean) for one in run]
-
-
-def _sizes(changes: np.ndarray) -> np.ndarray:
-    """How large changes [n, 6] are, a centimetre being as much as a degree, [n]."""
-    return np.hypot(
-        np.linalg.norm(changes[:, :3], axis=-1) / 0.01,
-        np.linalg.norm(changes[:, 3:], axis=-1) / np.deg2rad(1),
-    )
-
-
-def _distances(changes: np.ndarray, covariances: np.ndarray) -> np.ndarray:
-    """Squared lengths [...] of changes [..., 6] in standard deviations."""
-    return np.einsum(
-        "...i,...i->...", changes, np.linalg.solve(covariances, changes[..., None])[..., 0]
-    )
+    change, _ = mean(changes, np.stack([one.asked.covariance for one in run]))
+    return [replace(one, change=change) for one in run]

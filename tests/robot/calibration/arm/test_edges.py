@@ -28,6 +28,20 @@ def test_an_edge_is_found_to_a_fifth_of_a_pixel(at, blur):
     assert got.contrast.min() > 60
 
 
+def test_the_middle_of_what_is_blurred_counts_and_not_its_largest_step():
+    row = np.zeros(80, np.float32)
+    row[:39], row[39], row[40] = 120, 75, 45
+    picture = np.repeat(np.tile(row, (40, 1))[..., None], 3, 2)
+    got = find_edges(picture, np.array([[40.0, 20]]), np.array([[1.0, 0]]), 6.0)
+    assert got.clear.all()
+    assert abs(got.offsets[0]) < 0.3
+
+
+def test_no_contour_has_no_edges():
+    got = find_edges(step_picture(40), np.zeros((0, 2)), np.zeros((0, 2)), 6.0)
+    assert len(got.offsets) == len(got.clear) == len(got.contrast) == 0
+
+
 def test_what_is_bright_outside_is_no_edge_of_the_arm():
     pixels, normals = np.array([[40.0, 20]]), np.array([[-1.0, 0]])
     assert not find_edges(step_picture(41), pixels, normals, 6.0).clear.any()

@@ -1,5 +1,7 @@
 """Samples, silhouettes and contours, against hulls of the boxes' corners."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 from boxed_arm import CAMERA, SIDE, K, boxed_arm, hulls
@@ -60,3 +62,16 @@ def test_each_edge_has_the_faces_on_its_sides():
         assert {a, b} <= set(part.faces[one])
         assert {a, b} <= set(part.faces[other])
         assert one != other
+
+
+def test_a_wall_within_a_wall_gives_no_contour_of_its_own():
+    """Two pixels within, where the silhouette does not tell them apart."""
+    parts = boxed_arm().parts
+    middle = [part.vertices.mean(0) for part in parts]
+    within = [replace(p, vertices=m + 0.96 * (p.vertices - m))
+              for p, m in zip(parts, middle, strict=True)]  # fmt: skip
+    both = Surface.of([*parts, *within])
+    got = contour(both, np.concatenate([poses()] * 2), K, drawn())
+    alone = contour(Surface.of(parts), poses(), K, drawn())
+    assert (got.owners >= len(parts)).mean() < 0.1
+    assert (got.owners < len(parts)).sum() > 0.8 * len(alone.owners)

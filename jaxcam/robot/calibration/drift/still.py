@@ -1,0 +1,100 @@
+"""In which episodes a camera stood where it usually does: runs of episodes held against the rest.
+
+A camera that was pushed stays where it is for a while. Episodes in a row are told together what one
+of them could not tell; the rest is what they are held against.
+"""
+
+import numpy as np
+
+FLOOR = np.diag(np.square(np.repeat([0.0015, np.deg2rad(0.07)], 3)))
+"""Covariance (m, rad) that a change has at least, however many episodes ask for it."""
+LIMIT = 30.0
+"""Squared distance, in standard deviations, beyond which a camera has moved. Of six normal numbers
+one in 25 000 has 30; those of so few pictures have longer tails, and many runs are tried."""
+LEAST = 0.004, np.deg2rad(0.25)
+"""Changes (m, rad) below both of which nothing is said."""
+SHARE = 0.25
+"""Share of the episodes that are enough to be what others are held against."""
+TYPICAL = 5.35
+"""Median of the squared length of six normal numbers."""
+
+
+def doubt(changes: np.ndarray, spreads: np.ndarray) -> float:
+    """By how much covariances are too small: neighbours differ by chance, but where one moved.
+
+    Args:
+        changes: What episodes ask for, in their order, [n, 6].
+        spreads: Covariances, [n, 6, 6].
+    """
+    if len(changes) < 4:
+        return 1.0
+    steps = distances(np.diff(changes, axis=0), spreads[1:] + spreads[:-1])
+    return max(1.0, float(np.median(steps)) / TYPICAL)
+
+
+def still_episodes(changes: np.ndarray, spreads: np.ndarray) -> np.ndarray:
+    """In which episodes the camera stood where it did in most, or nearest to the given poses.
+
+    Args:
+        changes: What episodes ask for, in their order, [n, 6].
+        spreads: Covariances, [n, 6, 6].
+
+    Returns:
+        Bool [n].
+    """
+    still = np.ones(len(changes), bool)
+    while still.sum() > 1:
+        rows = np.flatnonzero(still)
+        run = _strangest(changes[rows], spreads[rows])
+        if run is None:
+            break
+        sides = rows[run[0] : run[1]], np.delete(rows, slice(*run))
+        enough = max(SHARE * len(changes), 2)
+        large = [side for side in sides if len(side) >= enough] or sides
+        kept = min(large, key=lambda side: float(size(mean(changes[side], spreads[side])[0])))
+        still[rows] = np.isin(rows, kept)
+    return still
+
+
+def _strangest(changes: np.ndarray, spreads: np.ndarray) -> tuple[int, int] | None:
+    """The run of episodes [first, last) that differs most from the rest; None if none does."""
+    weights = np.linalg.inv(spreads)
+    pulls = (weights @ changes[..., None])[..., 0]
+    sums, totals = (
+        np.concatenate([np.zeros_like(a[:1]), np.cumsum(a, 0)]) for a in (weights, pulls)
+    )
+    first, last = np.triu_indices(len(sums), 1)
+    some = last - first < len(changes)
+    first, last = first[some], last[some]
+    own, rest = sums[last] - sums[first], sums[-1] - (sums[last] - sums[first])
+    pull = totals[last] - totals[first]
+    own, rest = np.linalg.inv(own), np.linalg.inv(rest)
+    away = (own @ pull[..., None] - rest @ (totals[-1] - pull)[..., None])[..., 0]
+    far = (np.linalg.norm(away[:, :3], axis=-1) > LEAST[0]) | (
+        np.linalg.norm(away[:, 3:], axis=-1) > LEAST[1]
+    )
+    strange = np.where(far, distances(away, own + rest + FLOOR), 0.0)
+    best = int(strange.argmax())
+    return (int(first[best]), int(last[best])) if strange[best] > LIMIT else None
+
+
+def mean(changes: np.ndarray, spreads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What several episodes ask for together, [6], and its covariance."""
+    weights = np.linalg.inv(spreads)
+    covariance = np.linalg.inv(weights.sum(0))
+    return covariance @ np.einsum("nij,nj->i", weights, changes), covariance
+
+
+def size(changes: np.ndarray) -> np.ndarray:
+    """How large changes [..., 6] are, a centimetre being as much as a degree."""
+    return np.hypot(
+        np.linalg.norm(changes[..., :3], axis=-1) / 0.01,
+        np.linalg.norm(changes[..., 3:], axis=-1) / np.deg2rad(1),
+    )
+
+
+def distances(changes: np.ndarray, covariances: np.ndarray) -> np.ndarray:
+    """Squared lengths [...] of changes [..., 6] in standard deviations."""
+    return np.einsum(
+        "...i,...i->...", changes, np.linalg.solve(covariances, changes[..., None])[..., 0]
+    )

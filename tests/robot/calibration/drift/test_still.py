@@ -1,0 +1,61 @@
+"""Which episodes are held against which."""
+
+import numpy as np
+import pytest
+
+from jaxcam.robot.calibration.drift.still import FLOOR, doubt, still_episodes
+
+SIGMA = np.repeat([0.004, 0.006], 3)
+BUMP = np.r_[0.01, 0, 0, 0, 0, 0.012]
+
+
+def drawn(rng, offsets, sigma=SIGMA):
+    return np.stack(offsets) + rng.normal(0, 1, (len(offsets), 6)) * sigma
+
+
+def told(changes, sigma=SIGMA):
+    return np.repeat((np.diag(sigma**2) + FLOOR)[None], len(changes), 0)
+
+
+def test_what_one_episode_cannot_tell_a_run_of_them_can():
+    """A bump of four standard deviations, five episodes of twelve; hardly ever a false one."""
+    found, false = 0, 0
+    for seed in range(50):
+        rng = np.random.default_rng(seed)
+        changes = drawn(rng, [1.5 * BUMP if e >= 7 else 0 * BUMP for e in range(12)])
+        still = still_episodes(changes, told(changes))
+        found += bool((~still[7:]).sum() >= 4)
+        quiet = still_episodes(drawn(rng, [0 * BUMP] * 12), told(changes))
+        false += (~still[:6]).sum() + (~quiet).sum()
+    assert found >= 45
+    assert false <= 0.003 * 50 * 18
+
+
+@pytest.mark.parametrize("moved", [range(5, 20), range(4), range(8, 12)])
+def test_the_given_poses_say_which_side_moved(moved):
+    offsets = [4 * BUMP if e in moved else 0 * BUMP for e in range(20)]
+    changes = drawn(np.random.default_rng(0), offsets)
+    assert np.flatnonzero(~still_episodes(changes, told(changes))).tolist() == list(moved)
+
+
+def test_two_moves_are_both_found():
+    offsets = [5 * BUMP * ((e >= 4) - 2.0 * (e >= 9)) for e in range(14)]
+    changes = drawn(np.random.default_rng(0), offsets)
+    assert np.flatnonzero(still_episodes(changes, told(changes))).tolist() == [0, 1, 2, 3]
+
+
+def test_covariances_that_are_too_small_are_noticed_whatever_moved():
+    rng = np.random.default_rng(0)
+    offsets = [10 * BUMP if e >= 5 else 0 * BUMP for e in range(20)]
+    changes = drawn(rng, offsets, 3 * SIGMA)
+    small = np.repeat(np.diag(SIGMA**2)[None], 20, 0)
+    factor = doubt(changes, small)
+    assert 5 < factor < 20
+    assert np.flatnonzero(~still_episodes(changes, small * factor)).tolist() == list(range(5, 20))
+    assert doubt(drawn(rng, offsets), told(offsets)) < 1.6
+
+
+def test_one_episode_and_two():
+    assert still_episodes(np.zeros((1, 6)), told([0])).tolist() == [True]
+    changes = np.stack([0 * BUMP, 5 * BUMP])
+    assert still_episodes(changes, told(changes)).tolist() == [True, False]
