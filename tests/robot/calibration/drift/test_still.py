@@ -19,15 +19,15 @@ def told(changes, sigma=SIGMA):
 
 def test_what_one_episode_cannot_tell_a_run_of_them_can():
     """A bump of four standard deviations, five episodes of twelve; hardly ever a false one."""
-    found, false = 0, 0
+    hits, false = 0, 0
     for seed in range(50):
         rng = np.random.default_rng(seed)
         changes = drawn(rng, [1.5 * BUMP if e >= 7 else 0 * BUMP for e in range(12)])
         still = still_episodes(changes, told(changes))
-        found += bool((~still[7:]).sum() >= 4)
+        hits += bool((~still[7:]).sum() >= 4)
         quiet = still_episodes(drawn(rng, [0 * BUMP] * 12), told(changes))
         false += (~still[:6]).sum() + (~quiet).sum()
-    assert found >= 45
+    assert hits >= 45
     assert false <= 0.003 * 50 * 18
 
 
