@@ -1,6 +1,6 @@
 """Rollout videos of runs, side by side, as a small GIF, for pages that play no videos.
 
-python benchmarks/rollout_gif.py docs/rollouts.gif RUN/videos/test-004000.mp4
+python benchmarks/rollout_gif.py rollouts.gif RUN/videos/test-004000.mp4
 
 python benchmarks/rollout_gif.py docs/pose.gif NONE/videos/test-004000.mp4 \
     TOLD/videos/test-004000.mp4 --titles "pose not given" "pose given" --rows 2 --scale 0.36
