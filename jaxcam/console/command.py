@@ -5,6 +5,7 @@ So `--help` and bad flags are answered at once, and nothing else has to think of
 
 import contextlib
 import errno
+import gc
 import io
 import logging
 import os
@@ -19,7 +20,6 @@ from rich.logging import RichHandler
 from rich.panel import Panel
 
 from jaxcam.config.flags import parse
-from jaxcam.console.memory import keep_memory
 from jaxcam.console.terminal import PlainFormatter, Terminal
 from jaxcam.errors import ConfigError, JaxcamError, MachineError
 from jaxcam.interrupts import Interrupt, Stopped, ends_at_once, interrupts
@@ -37,6 +37,9 @@ _ADVICE = {
     errno.EMFILE: "Raise the limit on open files (ulimit -n)",
 }
 """What may help, by the kind of error."""
+_RARELY = (100_000, 20, 20)
+"""When the garbage collector looks through young and older objects. What is imported and traced is
+hundreds of thousands of objects that stay; by its own thresholds it takes a fifth of the start."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,7 @@ class CommandLine:
         Raises:
             SystemExit: Always; 0, the error's exit code, or 130 or 143 after a signal.
         """
-        keep_memory()
+        gc.set_threshold(*_RARELY)
         if prog is None and (spec := sys.modules["__main__"].__spec__):
             prog = f"python -m {spec.name}"
         for stream in (sys.stdout, sys.stderr):  # names of files may be no text

@@ -93,7 +93,10 @@ class _TensorBoard:
         del config
         package = importlib.import_module(PACKAGES["tensorboard"])
         # An earlier start may have written rows that are now written again: they are hidden.
-        self._writer = package.SummaryWriter(str(folder / "tensorboard"), purge_step=step + 1)
+        # Files are named by the second, in which a start may follow another.
+        self._writer = package.SummaryWriter(
+            str(folder / "tensorboard"), purge_step=step + 1, filename_suffix=f".{step}"
+        )
 
     def log(self, row: Mapping[str, Any]) -> None:
         for name, value in row.items():

@@ -1,6 +1,8 @@
 """Scenes: the slim model moves like robosuite's, and the visual model shows it."""
 
 import itertools
+import subprocess
+import sys
 
 import mujoco
 import numpy as np
@@ -94,6 +96,13 @@ def test_one_qpos_serves_both_models(scenes):
             mujoco.mj_kinematics(model, data)
             places.append([data.body(b).xpos for b in ("cube_main", "gripper0_right_leftfinger")])
         np.testing.assert_allclose(*places, atol=1e-12)
+
+
+def test_what_robosuite_warns_of_ends_nothing_where_warnings_are_errors(tmp_path):
+    """As it is compiled, which happens at its first import where nothing has been kept of it."""
+    code = "import jaxcam.sim.mujoco.mjcf as m; m._robosuite_models()"
+    flags = ["-X", f"pycache_prefix={tmp_path}", "-W", "error:invalid escape sequence"]
+    subprocess.run([sys.executable, *flags, "-c", code], check=True)
 
 
 def test_many_worlds_fit_in_memory(scenes):

@@ -6,15 +6,17 @@ of them could not tell; the rest is what they are held against.
 
 import numpy as np
 
-FLOOR = np.diag(np.square(np.repeat([0.0015, np.deg2rad(0.07)], 3)))
+FLOOR = np.diag(np.square(np.repeat([0.0003, np.deg2rad(0.015)], 3)))
 """Covariance (m, rad) that a change has at least, however many episodes ask for it."""
-LIMIT = 30.0
+LIMIT = 36.0
 """Squared distance, in standard deviations, beyond which a camera has moved. Of six normal numbers
-one in 25 000 has 30; those of so few pictures have longer tails, and many runs are tried."""
+one in 360 000 has 36; those of so few pictures have longer tails, and many runs are tried."""
 LEAST = 0.004, np.deg2rad(0.25)
 """Changes (m, rad) below both of which nothing is said."""
 SHARE = 0.25
 """Share of the episodes that are enough to be what others are held against."""
+EXPLAINED = 2.5
+"""What most episodes may ask for together (centimetres or degrees) as the fault of joints."""
 TYPICAL = 5.35
 """Median of the squared length of six normal numbers."""
 
@@ -33,7 +35,10 @@ def doubt(changes: np.ndarray, spreads: np.ndarray) -> float:
 
 
 def still_episodes(changes: np.ndarray, spreads: np.ndarray) -> np.ndarray:
-    """In which episodes the camera stood where it did in most, or nearest to the given poses.
+    """In which episodes the camera stood where it did in most.
+
+    Where most ask for more than joints can be off by, and enough others for less, these are meant:
+    the camera was pushed early, and stayed there.
 
     Args:
         changes: What episodes ask for, in their order, [n, 6].
@@ -49,9 +54,11 @@ def still_episodes(changes: np.ndarray, spreads: np.ndarray) -> np.ndarray:
         if run is None:
             break
         sides = rows[run[0] : run[1]], np.delete(rows, slice(*run))
-        enough = max(SHARE * len(changes), 2)
-        large = [side for side in sides if len(side) >= enough] or sides
-        kept = min(large, key=lambda side: float(size(mean(changes[side], spreads[side])[0])))
+        kept, other = sorted(sides, key=len, reverse=True)
+        enough = len(other) >= max(SHARE * len(changes), 2) or len(kept) == 1
+        far, near = (float(size(mean(changes[s], spreads[s])[0])) for s in (kept, other))
+        if enough and near < far and (far > EXPLAINED or len(kept) == len(other)):
+            kept = other
         still[rows] = np.isin(rows, kept)
     return still
 
