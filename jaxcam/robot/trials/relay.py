@@ -45,6 +45,7 @@ class Relay:
         self._first: float | None = None
         self._fault, self._answers, self._is_gone = "", 0, False
         self._loops: set[ServerConnection] = set()
+        self._is_closed = False
         try:
             self._server = serve(
                 self._serve,
@@ -84,9 +85,12 @@ class Relay:
         return Ran(taken, fault, f"{self._answers} answers")
 
     def close(self) -> None:
-        """Listen no more, and let loops go that wait."""
+        """Listen no more, and let loops go that wait, also those that are just being let in."""
         self._server.shutdown()
-        for connection in [*self._loops]:
+        with self._changed:
+            self._is_closed = True
+            loops = [*self._loops]
+        for connection in loops:
             connection.close()
         self._thread.join(5)
 
@@ -95,11 +99,15 @@ class Relay:
 
     def _serve(self, connection: ServerConnection) -> None:
         """One connection of a loop."""
-        self._loops.add(connection)
+        with self._changed:
+            if self._is_closed:
+                return
+            self._loops.add(connection)
         try:
             self._talk(connection)
         finally:
-            self._loops.discard(connection)
+            with self._changed:
+                self._loops.discard(connection)
 
     def _talk(self, connection: ServerConnection) -> None:
         """Wait for a rollout with a loop, and pass its questions on."""
