@@ -1,6 +1,7 @@
 """Tags before cameras: their corners by numbers, drawn pictures, and datasets of those."""
 
 import functools
+import json
 
 import lerobot_datasets
 import numpy as np
@@ -67,6 +68,21 @@ def drawn_tags(poses, places, seed=0, size=SIZE, look=Look()):  # noqa: B008
         draw(rays, pose, [tag_print(FAMILY, n, size, f) for n, f in some.items()], rng, look, 2)
         for pose, some in zip(poses, each, strict=True)
     ])  # fmt: skip
+
+
+def grip_states(grips):
+    """Poses of the grip [n, 4, 4] as a robot says them: places and rotation vectors, [n, 6]."""
+    turns = Rotation.from_matrix(grips[:, :3, :3]).as_rotvec()
+    return np.concatenate([grips[:, :3, 3], turns], -1).astype(np.float32)
+
+
+def write_hand(folder, monkeypatch, states, pictures):
+    """What `calibrate hand-eye` is given: a dataset, `data`, and its camera's K; goes there."""
+    monkeypatch.chdir(folder)
+    (folder / "cameras.json").write_text(json.dumps({"format": 1, "views": {"front": VIEW}}))
+    names = ("ee_x", "ee_y", "ee_z", "ee_rx", "ee_ry", "ee_rz")
+    write_dataset(folder / "data", monkeypatch, pictures, states, names)
+    return folder
 
 
 def write_dataset(root, monkeypatch, pictures, states=None, names=None):

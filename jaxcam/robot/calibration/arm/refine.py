@@ -200,11 +200,8 @@ class Refiner:
             solution: Near which is looked.
             reach: Pixels within which edges are looked for, of a picture 256 high.
         """
-        looked, held = (
-            self.look(solution, reach * self.scale),
-            _held(Prior(solution.joints), self.arm.joints),
-        )
-        J = self.slopes(solution, looked)
+        looked = self.look(solution, reach * self.scale)
+        J, held = self.slopes(solution, looked), _held(Prior(solution.joints), self.arm.joints)
         return _robust(J, looked, reach * self.scale / 4, held, 0 * held)[2]
 
 

@@ -16,6 +16,9 @@ from jaxcam.robot.calibration.projection import change_of, moved
 TIE = np.repeat([1 / 0.0015**2, 1 / np.deg2rad(0.07) ** 2], 3)
 """Of a still camera's poses, as single episodes tell them: one over squared deviations (m, rad)."""
 ROUNDS = 12
+"""In which each pose's tie is weighed anew."""
+FREEDOM = 1.0
+"""Degrees of freedom of the Student distribution of poses."""
 
 
 @dataclass(frozen=True)
@@ -88,5 +91,5 @@ def solve_shared(
         shared = np.linalg.solve(least, right - np.r_[np.zeros(6), held * faults])
         steps = np.einsum("nij,nj->ni", own, alone - across @ shared)
         far = ((changes + steps - shared[:6]) ** 2 * TIE).sum(-1)
-        weights = 7 / (1 + far)
+        weights = (FREEDOM + 6) / (FREEDOM + far)
     return steps, shared[6:]

@@ -7,7 +7,7 @@ import pytest
 from drawn import Print, draw
 from running import exit_code
 from scipy.spatial.transform import Rotation
-from tagged import VIEW, all_rays, write_dataset
+from tagged import all_rays, grip_states, write_hand
 from web_page import Page
 
 from jaxcam.interop.recordings import read_recording
@@ -18,7 +18,6 @@ BOARD = Board("charuco", 7, 5, 0.03, 0.021, "4x4_50")
 AIM = np.array([0.45, 0.0, 0.0])
 """The board's middle; the hand is 40 cm above it."""
 GRIP_FROM_CAMERA = moved(np.eye(4), np.array([0.05, 0.02, 0.06, 0.12, -0.1, 0.3]))
-NAMES = ("ee_x", "ee_y", "ee_z", "ee_rx", "ee_ry", "ee_rz")
 ASKED = ("calibrate", "hand-eye", "data", "--view", "front", "--mount", "grip", "--target",
          "charuco", "--columns", "7", "--rows", "5", "--square-mm", "30")  # fmt: skip
 
@@ -43,18 +42,13 @@ def film():
         six = pose_of((turns * down).as_matrix(), above)
         shown = [draw(all_rays(), g @ GRIP_FROM_CAMERA, [paper], rng, samples=2) for g in six]
         pictures.append(np.repeat(np.stack(shown), 3, 0))
-        turned = Rotation.from_matrix(six[:, :3, :3]).as_rotvec()
-        state = np.concatenate([six[:, :3, 3], turned], -1).astype(np.float32)
-        states.append(np.repeat(state, 3, 0))
+        states.append(np.repeat(grip_states(six), 3, 0))
     return states, pictures
 
 
 @pytest.fixture
 def place(tmp_path, monkeypatch, film):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "cameras.json").write_text(json.dumps({"format": 1, "views": {"front": VIEW}}))
-    write_dataset(tmp_path / "data", monkeypatch, film[1], film[0], NAMES)
-    return tmp_path
+    return write_hand(tmp_path, monkeypatch, *film)
 
 
 def test_each_picture_of_a_camera_on_the_hand_gets_its_pose(place, capsys, film):

@@ -1,12 +1,10 @@
 """`jaxcam.calibrate hand-eye` as a command."""
 
-import json
-
 import numpy as np
 import pytest
 from running import exit_code
 from scipy.spatial.transform import Rotation
-from tagged import VIEW, drawn_tags, eye, write_dataset
+from tagged import drawn_tags, eye, grip_states, write_hand
 from web_page import Page
 
 from jaxcam.interop.cameras.files import read_cameras
@@ -19,7 +17,6 @@ TAG = moved(
     @ pose_of(CAMERA[:3, :3] @ np.diag([1.0, -1, -1]), AIM - 0.05 * CAMERA[:3, 2]),
     np.array([0, 0, 0, 0.5, -0.4, 0.1]),
 )
-NAMES = ("ee_x", "ee_y", "ee_z", "ee_rx", "ee_ry", "ee_rz")
 
 
 @pytest.fixture(scope="module")
@@ -32,11 +29,7 @@ def film():
         rotations = (Rotation.from_euler("x", np.pi) * turns).as_matrix()
         five = pose_of(rotations, AIM + rng.uniform(-0.08, 0.08, (5, 3)))
         poses.append(np.repeat(five, 3, 0))
-    states = [
-        np.concatenate([p[:, :3, 3], Rotation.from_matrix(p[:, :3, :3]).as_rotvec()], -1)
-        .astype(np.float32)
-        for p in poses
-    ]  # fmt: skip
+    states = [grip_states(some) for some in poses]
     pictures = [
         np.repeat(drawn_tags([CAMERA] * 5, [{5: g @ TAG} for g in some[::3]], i), 3, 0)
         for i, some in enumerate(poses)
@@ -46,10 +39,7 @@ def film():
 
 @pytest.fixture
 def place(tmp_path, monkeypatch, film):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "cameras.json").write_text(json.dumps({"format": 1, "views": {"front": VIEW}}))
-    write_dataset(tmp_path / "data", monkeypatch, film[1], film[0], NAMES)
-    return tmp_path
+    return write_hand(tmp_path, monkeypatch, *film)
 
 
 ASKED = ("calibrate", "hand-eye", "data", "--view", "front", "--tag", "5", "--size-mm", "80")
