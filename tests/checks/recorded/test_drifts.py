@@ -35,8 +35,8 @@ def test_episodes_that_tell_too_little_are_no_camera_that_stood_still(tmp_path, 
     recording = read_recording(tmp_path / "data", tmp_path / "cameras.json")
     asked = AskedChange(0, CAMERA, np.zeros(6), 0.05**2 * np.eye(6), 0.8, np.zeros(3))
     optics = Optics(K, SIDE, SIDE, np.zeros(9))
-    told = ViewDrift("front", [Told(asked, np.zeros(6), 0.0, False)], [], optics)
-    monkeypatch.setattr(drifts, "drift_of", lambda *_: told)
+    drift = ViewDrift("front", [Told(asked, np.zeros(6), 0.0, False)], [], optics)
+    monkeypatch.setattr(drifts, "drift_of", lambda *_: drift)
     (got,) = drifts.check_drift(recording, ["front"], [0, 1, 2], str(tmp_path / "arm.xml"))
     assert (got.finding.mark, got.finding.got) == (
         "note", "not known: an episode tells it to 50 mm, 2.9°"

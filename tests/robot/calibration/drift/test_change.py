@@ -62,11 +62,11 @@ def test_a_camera_that_creeps_is_not_given_one_pose_for_all_its_places():
     changes = [np.r_[0.003 * max(e - 9, 0), 0, 0, 0, 0, 0] for e in range(30)]
     answers = judged_changes([drawn(c, e, np.random.default_rng(e)) for e, c in enumerate(changes)])
     runs = runs_of(answers)
-    told = {one.asked.episode: one.change[0] for run in runs for one in run}
+    by_episode = {one.asked.episode: one.change[0] for run in runs for one in run}
     assert len(runs) > 1
-    assert set(told) >= set(range(15, 30))
-    true = np.array([changes[e][0] for e in told])
-    np.testing.assert_allclose(list(told.values()), true, atol=0.015)
+    assert set(by_episode) >= set(range(15, 30))
+    true = np.array([changes[e][0] for e in by_episode])
+    np.testing.assert_allclose(list(by_episode.values()), true, atol=0.015)
 
 
 def test_episodes_that_say_nothing_are_left_out():
