@@ -234,7 +234,8 @@ def _written(ends: Span) -> str:
 
 
 def _short(number: float) -> str:
-    return brief if float(brief := f"{number:g}") == number else repr(number)
+    """As `_number` reads it: no exponent, and as many decimals as it takes."""
+    return f"{number:.12f}".rstrip("0").rstrip(".")
 
 
 def _number(text: str) -> float | None:

@@ -1,6 +1,5 @@
 """`python -m jaxcam.collect`: demonstrations of the scripted expert, as states and commands."""
 
-import re
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -50,7 +49,7 @@ def dataset_path(config: CollectConfig) -> Path:
     config = in_task(config)
     name = f"{config.task}-{config.scene}-n{config.n}m{config.m}-{config.demos}+{config.validation}"
     optics = "".join(f"-{k}{v}" for k, v in said_optics(config).items())
-    name += re.sub("[:,]", "_", optics)
+    name += optics.replace(":", "_").replace(",", "+")
     return home(config.data_dir) / f"{name}-seed{config.seed}.hdf5"
 
 

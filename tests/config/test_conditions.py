@@ -64,6 +64,21 @@ def test_what_cannot_be_is_refused(name, text, words):
         Conditions(**{name: text})
 
 
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("pose_noise", "0.00001,0.000000000001"),
+        ("lens", "opencv:-0.00001:0.00001"),
+        ("fovy", "45.000000000001"),
+        ("pose_drift", "99.123456789,999.9"),
+    ],
+)
+def test_what_is_kept_can_be_read_again(name, text):
+    kept = Conditions(**{name: text})
+    assert getattr(kept, name) == text
+    assert Conditions(**{name: getattr(kept, name)}) == kept
+
+
 def test_texts_are_read():
     assert degrees_and_cm("") == (0, 0)
     assert degrees_and_cm("1,0.5") == (1, 0.5)

@@ -177,6 +177,12 @@ def test_texts_of_one_meaning_name_one_dataset():
     assert dataset_path(CollectConfig(fovy="44:45")) != usual
 
 
+def test_lenses_of_two_meanings_are_two_files():
+    """The second would be taken for the first, which is there already."""
+    ways = ("opencv:-0.3:0,0.1", "opencv:-0.3,0:0.1")
+    assert len({dataset_path(CollectConfig(lens=lens)) for lens in ways}) == 2
+
+
 def test_older_headers_have_other_texts_of_one_meaning(varied):
     older = replace(varied.header, optics={"fovy": "45", "lens": "opencv:-0.3:0,0"})
     assert older.ranges == {"lens": "opencv:-0.3:0"}

@@ -80,6 +80,10 @@ def _judge(recording: Recording, drift: ViewDrift) -> Iterator[Judged]:
     if not drift.episodes:
         got = "not known by the arm, either: too little of its contour lies on edges"
         yield Judged(note(WHAT, got=got, where=where))
+    elif drift.unsure:
+        place, turn = drift.spread
+        got = f"not known: an episode tells it to {1000 * place:.0f} mm, {np.rad2deg(turn):.1f}°"
+        yield Judged(note(WHAT, got=got, where=where))
     elif not drift.runs:
         got = f"by the arm, in {len(drift.episodes)} episodes"
         yield Judged(good(WHAT, got=got, where=where))

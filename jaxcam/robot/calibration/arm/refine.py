@@ -149,7 +149,7 @@ class Refiner:
             for step in np.eye(self.arm.joints)
         ]
         inverse, K = np.linalg.inv(solution.base_from_camera), self.film.K
-        parts = []
+        parts = [np.zeros((0, 6 + self.arm.joints + 1))]  # all, where the arm is in no picture
         at = np.cumsum([0, *(len(c.pixels) for c in looked.contours)])
         for number, outline in enumerate(looked.contours):
             if not len(outline.pixels):

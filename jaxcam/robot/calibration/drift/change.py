@@ -180,11 +180,7 @@ def runs_of(episodes: Sequence[Tested]) -> list[list[Tested]]:
     before: Tested | None = None
     for one in episodes:
         if one.moved:
-            alike = before is not None and before.moved and distances(
-                (one.change - before.change)[None],
-                (one.asked.covariance + before.asked.covariance)[None],
-            )[0] < LIMIT  # fmt: skip
-            if alike:
+            if before is not None and before.moved and _alike(one, runs[-1]):
                 runs[-1].append(one)
             else:
                 runs.append([one])
@@ -192,8 +188,20 @@ def runs_of(episodes: Sequence[Tested]) -> list[list[Tested]]:
     return [_averaged(run) for run in runs]
 
 
+def _alike(one: Tested, run: list[Tested]) -> bool:
+    """Whether an episode asks for what a run asks for together; its last alone may creep along."""
+    change, covariance = _together(run)
+    apart = distances((one.change - change)[None], (one.asked.covariance + covariance)[None])
+    return bool(apart[0] < LIMIT)
+
+
+def _together(run: list[Tested]) -> tuple[np.ndarray, np.ndarray]:
+    return mean(
+        np.stack([one.change for one in run]), np.stack([one.asked.covariance for one in run])
+    )
+
+
 def _averaged(run: list[Tested]) -> list[Tested]:
     """Episodes of one place, each with the change that all of them ask for."""
-    changes = np.stack([one.change for one in run])
-    change, _ = mean(changes, np.stack([one.asked.covariance for one in run]))
+    change, _ = _together(run)
     return [replace(one, change=change) for one in run]

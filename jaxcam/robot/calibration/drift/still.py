@@ -17,6 +17,8 @@ SHARE = 0.25
 """Share of the episodes that are enough to be what others are held against."""
 EXPLAINED = 2.5
 """What most episodes may ask for together (centimetres or degrees) as the fault of joints."""
+NEXT_TO_NOTHING = 1 / 3
+"""Share of what most ask for, up to which others ask for next to nothing."""
 TYPICAL = 5.35
 """Median of the squared length of six normal numbers."""
 
@@ -38,7 +40,8 @@ def still_episodes(changes: np.ndarray, spreads: np.ndarray) -> np.ndarray:
     """In which episodes the camera stood where it did in most.
 
     Where most ask for more than joints can be off by, and enough others for less, these are meant:
-    the camera was pushed early, and stayed there.
+    the camera was pushed early, and stayed there. So it is where others ask for next to nothing:
+    what joints are off by is hardly undone by a push.
 
     Args:
         changes: What episodes ask for, in their order, [n, 6].
@@ -57,7 +60,8 @@ def still_episodes(changes: np.ndarray, spreads: np.ndarray) -> np.ndarray:
         kept, other = sorted(sides, key=len, reverse=True)
         enough = len(other) >= max(SHARE * len(changes), 2) or len(kept) == 1
         far, near = (float(size(mean(changes[s], spreads[s])[0])) for s in (kept, other))
-        if enough and near < far and (far > EXPLAINED or len(kept) == len(other)):
+        pushed = far > EXPLAINED or near < NEXT_TO_NOTHING * far or len(kept) == len(other)
+        if enough and near < far and pushed:
             kept = other
         still[rows] = np.isin(rows, kept)
     return still

@@ -64,6 +64,15 @@ def test_slopes_are_the_motion_of_the_contour():
     np.testing.assert_allclose(slopes[: len(motion), :6] @ step, motion, atol=2e-4)
 
 
+def test_an_arm_that_is_in_no_picture_says_nothing():
+    refiner, _ = refined()
+    away = Solution(moved(CAMERA, np.r_[0, 0, 0, 0, np.pi, 0]), np.zeros(3), 0.0)
+    got = refiner.refine(away, (4.0,))
+    assert got.support(2.0) == 0
+    np.testing.assert_array_equal(got.solution.base_from_camera, away.base_from_camera)
+    assert not refiner.equations(away, 4.0).normal.any()
+
+
 def test_joints_that_are_held_do_not_move():
     refiner, _ = refined()
     joints = np.deg2rad([0.5, 0.0, 0.0])

@@ -58,6 +58,17 @@ def test_moves_are_named_from_the_first_episode_on_and_back(first):
     np.testing.assert_allclose(run[0].change, bump, atol=0.006)
 
 
+def test_a_camera_that_creeps_is_not_given_one_pose_for_all_its_places():
+    changes = [np.r_[0.003 * max(e - 9, 0), 0, 0, 0, 0, 0] for e in range(30)]
+    answers = judged_changes([drawn(c, e, np.random.default_rng(e)) for e, c in enumerate(changes)])
+    runs = runs_of(answers)
+    by_episode = {one.asked.episode: one.change[0] for run in runs for one in run}
+    assert len(runs) > 1
+    assert set(by_episode) >= set(range(15, 30))
+    true = np.array([changes[e][0] for e in by_episode])
+    np.testing.assert_allclose(list(by_episode.values()), true, atol=0.015)
+
+
 def test_episodes_that_say_nothing_are_left_out():
     rng = np.random.default_rng(0)
     asked = [drawn(np.zeros(6), e, rng, support=0.1 if e == 2 else 0.8) for e in range(5)]

@@ -11,7 +11,7 @@ from web_page import Page
 from jaxcam.data.recorded.recording import Recording
 from jaxcam.interop.cameras.files import read_cameras
 from jaxcam.interop.cameras.optics import Optics
-from jaxcam.robot.calibration.drift.change import AskedChange
+from jaxcam.robot.calibration.drift.change import AskedChange, judged_changes
 from jaxcam.robot.calibration.drift.change import Tested as Judged
 from jaxcam.robot.calibration.drift.form import ViewDrift, drift_words
 from jaxcam.robot.calibration.projection import apart, moved
@@ -55,8 +55,9 @@ def test_no_pose_is_known(tmp_path, monkeypatch, capsys):
     )
 
 
-def found(change, together, support=0.8):
-    asked = AskedChange(4, CAMERA, np.add(change, together), np.eye(6), support, np.zeros(3))
+def found(change, together, support=0.8, sigma=0.001):
+    covariance = sigma**2 * np.eye(6)
+    asked = AskedChange(4, CAMERA, np.add(change, together), covariance, support, np.zeros(3))
     return Judged(asked, np.array(change, float), 1.0, False)
 
 
@@ -73,3 +74,13 @@ def test_pictures_that_say_nothing_are_no_camera_that_stood_still():
     (line,) = drift_words(RECORDING, ViewDrift("front", [], silent, OPTICS))
     assert "nothing can be said of episodes 4" in line
     assert line.endswith("the arm is hardly in view.")
+
+
+def test_a_camera_that_is_elsewhere_in_every_episode_is_not_said_to_stand_still():
+    """Deviations then grow with how neighbours differ, until nothing stands out."""
+    rng = np.random.default_rng(0)
+    changes = rng.normal(size=(20, 6)) * np.repeat([0.02, np.deg2rad(1.0)], 3)
+    covariance = np.diag(np.repeat([0.0015, np.deg2rad(0.07)], 3) ** 2)
+    asked = [AskedChange(e, CAMERA, c, covariance, 0.8, np.zeros(3)) for e, c in enumerate(changes)]
+    (line,) = drift_words(RECORDING, ViewDrift("front", judged_changes(asked), [], OPTICS))
+    assert "elsewhere in almost every episode" in line

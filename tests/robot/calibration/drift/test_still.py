@@ -38,6 +38,20 @@ def test_the_given_poses_say_which_side_moved(moved):
     assert np.flatnonzero(~still_episodes(changes, told(changes))).tolist() == list(moved)
 
 
+def test_a_small_push_early_on_is_told_from_the_fault_of_joints():
+    """What most ask for is a push where others ask for nothing, and a fault where all have it."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        way, fault = rng.normal(size=(2, 6)) * np.repeat([0.008, 0.012], 3)
+        late = np.arange(20) >= 7
+        pushed = drawn(rng, late[:, None] * way, SIGMA / 4)
+        still = still_episodes(pushed, told(pushed, SIGMA / 4))
+        assert np.flatnonzero(~still).tolist() == list(range(7, 20))
+        early = drawn(rng, fault + ~late[:, None] * way, SIGMA / 4)
+        still = still_episodes(early, told(early, SIGMA / 4))
+        assert np.flatnonzero(~still).tolist() == list(range(7))
+
+
 def test_two_moves_are_both_found():
     offsets = [5 * BUMP * ((e >= 4) - 2.0 * (e >= 9)) for e in range(14)]
     changes = drawn(np.random.default_rng(0), offsets)
