@@ -5,6 +5,7 @@
     python benchmarks/calibration.py hand-eye [--trials 20] [--pictures 15] [--mount fixed|grip]
     python benchmarks/calibration.py arm [--cameras 50] [--held-out] [--films FOLDER]
     python benchmarks/calibration.py drift [--cameras 50] [--held-out] [--films FOLDER]
+    python benchmarks/calibration.py policy RUN --errors FOLDER/errors-50.npy [--pairs 200]
 
 Pictures are drawn by following each pixel's rays through a camera and its lens, with blur, noise,
 light from one side, and boards that are seen in part; 640x480, a metre away. The tags' places and
@@ -17,6 +18,7 @@ import time
 from pathlib import Path
 
 import calibration_arm
+import calibration_policy
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -201,7 +203,10 @@ def show(names: tuple[str, ...], rows: np.ndarray) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("form", choices=["lens", "tags", "hand-eye", "arm", "drift"])
+    parser.add_argument("form", choices=["lens", "tags", "hand-eye", "arm", "drift", "policy"])
+    parser.add_argument("run", nargs="?", type=Path)
+    parser.add_argument("--errors", type=Path, default=Path("films/errors-50.npy"))
+    parser.add_argument("--pairs", type=int, default=200)
     parser.add_argument("--trials", type=int, default=20)
     parser.add_argument("--kind", choices=["opencv", "fisheye"], default="opencv")
     parser.add_argument("--tags", type=int, choices=[1, 2, 3, 4], default=4)
@@ -224,6 +229,8 @@ def main() -> None:
                 show(*calibration_arm.arm(cameras, asked.films))
             else:
                 calibration_arm.drift(cameras, asked.films)
+        case "policy":
+            calibration_policy.policy(asked.run, asked.errors, asked.pairs)
         case _:
             hand_eye(asked.trials, asked.pictures or 15, asked.mount)
 

@@ -50,6 +50,8 @@ class Viewpoint:
     """When."""
     beside: bool = False
     """Whether it is one of many that are drawn small, without pictures."""
+    known_as: tuple[str, ...] = ()
+    """Its names where it has several, as a camera that stands still through several episodes."""
 
 
 @dataclass(frozen=True)
@@ -135,19 +137,31 @@ def overlaid(first: Exhibit, second: Exhibit, names: tuple[str, str]) -> Exhibit
 
 def cameras_apart(first: Exhibit, second: Exhibit) -> list[str]:
     """How far cameras of one name are apart in two exhibits, a sentence each."""
-    others = {view.name: view for view in second.viewpoints if not view.beside}
-    sentences: list[str] = []
+    others = {
+        name: view
+        for view in second.viewpoints
+        if not view.beside
+        for name in view.known_as or (view.name,)
+    }
+    compared: dict[tuple[int, int], str] = {}
     for view in first.viewpoints:
-        if view.name in others:
-            a, b = (
-                np.asarray(v.camera.world_from_camera, float).reshape(-1, 4, 4)[0]
-                for v in (view, others[view.name])
-            )
-            cosine = (np.trace(a[:3, :3].T @ b[:3, :3]) - 1) / 2
-            turned = np.rad2deg(np.arccos(np.clip(cosine, -1, 1)))
-            moved = 1000 * np.linalg.norm(a[:3, 3] - b[:3, 3])
-            sentences.append(f"{view.name}: {moved:.1f} mm and {turned:.2f} degrees apart.")
-    return sentences
+        for name in view.known_as or (view.name,):
+            if name in others and (id(view), id(others[name])) not in compared:
+                apart = _apart(view.camera, others[name].camera)
+                compared[id(view), id(others[name])] = f"{name}: {apart} apart."
+    return list(compared.values())
+
+
+def _apart(first: Camera, second: Camera) -> str:
+    """How far two cameras are apart, where they begin."""
+    a, b = (
+        np.asarray(camera.world_from_camera, float).reshape(-1, 4, 4)[0]
+        for camera in (first, second)
+    )
+    cosine = (np.trace(a[:3, :3].T @ b[:3, :3]) - 1) / 2
+    turned = np.rad2deg(np.arccos(np.clip(cosine, -1, 1)))
+    moved = 1000 * np.linalg.norm(a[:3, 3] - b[:3, 3])
+    return f"{moved:.1f} mm and {turned:.2f} degrees"
 
 
 def _named(exhibit: Exhibit, name: str, colour: RGB) -> Exhibit:

@@ -58,7 +58,7 @@ def episode(recording: Recording, number: int, grip: str = "") -> Exhibit:
     group, colour = ("test", RED) if held_out else ("training", GREEN)
     return Exhibit(
         title=recording.path.name,
-        subtitle=f"Episode {shown.name}, {kind}. {shown.instruction}".strip(),
+        subtitle=f"{shown.name[:1].upper()}{shown.name[1:]}, {kind}. {shown.instruction}".strip(),
         rate=recording.rate,
         viewpoints=tuple(
             _viewpoint(view, (group, colour), sight, calibration, stride)
@@ -107,7 +107,8 @@ def calibrated_cameras(path: Path) -> Exhibit:
         for name, views in file.episodes.items()
         for view, entry in views.items()
     ]
-    viewpoints, notes = [], []
+    same: dict[tuple[str, ...], list[tuple[str, Camera]]] = {}
+    notes = []
     for name, view, entry in entries:
         title = f"episode {name}: {view}" if name else view
         camera = _camera(entry, name)
@@ -115,7 +116,9 @@ def calibrated_cameras(path: Path) -> Exhibit:
             lacks = "K" if entry.optics is None else "a pose that holds without a dataset"
             notes.append(f"{title} has not {lacks}: it is not shown.")
         else:
-            viewpoints.append(Viewpoint(title, "calibrated", FIRST, camera))
+            values = [repr(np.asarray(value).tolist()) for value in vars(camera).values()]
+            same.setdefault((view, *values), []).append((title, camera))
+    viewpoints = [_standing([title for title, _ in one], one[0][1]) for one in same.values()]
     if not viewpoints:
         raise DatasetError(
             f"{path}: no camera has both K and a pose, so there is nothing to show. "
@@ -127,6 +130,12 @@ def calibrated_cameras(path: Path) -> Exhibit:
         viewpoints=tuple(viewpoints),
         notes=tuple(notes),
     )
+
+
+def _standing(titles: list[str], camera: Camera) -> Viewpoint:
+    """A camera that stood still under all these titles."""
+    others = f" and {len(titles) - 1} more" if titles[1:] else ""
+    return Viewpoint(titles[0] + others, "calibrated", FIRST, camera, known_as=tuple(titles))
 
 
 def _camera(entry: Entry, name: str) -> Camera | None:

@@ -9,7 +9,7 @@ from filmed import SIZE, calibrations, filmed, with_sights
 
 from jaxcam.errors import DatasetError
 from jaxcam.viewer import recorded
-from jaxcam.viewer.exhibit import GREEN, RED
+from jaxcam.viewer.exhibit import GREEN, RED, cameras_apart
 
 POSE = np.eye(4).tolist()
 VIEW = {"K": {"fx": 60, "fy": 60, "cx": 32, "cy": 24}, "size": [64, 48], "base_from_camera": POSE}
@@ -75,8 +75,27 @@ def write(path, **views):
 def test_a_file_of_cameras_shows_those_that_have_both_halves(tmp_path):
     file = write(tmp_path / "cameras.json", a=VIEW, b={k: VIEW[k] for k in ("K", "size")})
     exhibit = recorded.calibrated_cameras(file)
-    assert [v.name for v in exhibit.viewpoints] == ["a", "episode 3: a"]
+    assert [v.name for v in exhibit.viewpoints] == ["a and 1 more"]
     assert any(note.startswith("b has not a pose") for note in exhibit.notes)
+
+
+def test_a_camera_that_stands_still_is_shown_once_and_compared_where_it_moved(tmp_path):
+    elsewhere = np.eye(4)
+    elsewhere[0, 3] = 0.02
+    pushed = VIEW | {"base_from_camera": elsewhere.tolist()}
+    exhibits = []
+    for name, late in (("before", VIEW), ("after", pushed)):
+        episodes = {str(i): {"a": VIEW if i < 2 else late} for i in range(4)}
+        file = tmp_path / f"{name}.json"
+        file.write_text(json.dumps({"format": 1, "episodes": episodes}))
+        exhibits.append(recorded.calibrated_cameras(file))
+    before, after = exhibits
+    assert [v.name for v in before.viewpoints] == ["episode 0: a and 3 more"]
+    assert [v.known_as[0] for v in after.viewpoints] == ["episode 0: a", "episode 2: a"]
+    assert cameras_apart(before, after) == [
+        "episode 0: a: 0.0 mm and 0.00 degrees apart.",
+        "episode 2: a: 20.0 mm and 0.00 degrees apart.",
+    ]
 
 
 def test_a_file_without_a_camera_is_an_error(tmp_path):
