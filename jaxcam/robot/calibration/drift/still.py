@@ -13,6 +13,9 @@ LIMIT = 36.0
 one in 360 000 has 36; those of so few pictures have longer tails, and many runs are tried."""
 LEAST = 0.004, np.deg2rad(0.25)
 """Changes (m, rad) below both of which nothing is said."""
+STANDS_OUT = 2.5
+"""Times what single episodes ask for, neighbours held against each other, that a motion must be.
+Directions that small pictures seem to tell well may be told wrongly; this asks for none."""
 SHARE = 0.25
 """Share of the episodes that are enough to be what others are held against."""
 EXPLAINED = 2.5
@@ -51,9 +54,10 @@ def still_episodes(changes: np.ndarray, spreads: np.ndarray) -> np.ndarray:
         Bool [n].
     """
     still = np.ones(len(changes), bool)
+    scatter = _scatter(changes)
     while still.sum() > 1:
         rows = np.flatnonzero(still)
-        run = _strangest(changes[rows], spreads[rows])
+        run = _strangest(changes[rows], spreads[rows], scatter)
         if run is None:
             break
         sides = rows[run[0] : run[1]], np.delete(rows, slice(*run))
@@ -67,7 +71,14 @@ def still_episodes(changes: np.ndarray, spreads: np.ndarray) -> np.ndarray:
     return still
 
 
-def _strangest(changes: np.ndarray, spreads: np.ndarray) -> tuple[int, int] | None:
+def _scatter(changes: np.ndarray) -> float:
+    """The size of what a single episode asks for by chance; zero where too few tell it."""
+    if len(changes) < 4:
+        return 0.0
+    return float(np.median(size(np.diff(changes, axis=0)))) / 2**0.5
+
+
+def _strangest(changes: np.ndarray, spreads: np.ndarray, scatter: float) -> tuple[int, int] | None:
     """The run of episodes [first, last) that differs most from the rest; None if none does."""
     weights = np.linalg.inv(spreads)
     pulls = (weights @ changes[..., None])[..., 0]
@@ -84,6 +95,9 @@ def _strangest(changes: np.ndarray, spreads: np.ndarray) -> tuple[int, int] | No
     far = (np.linalg.norm(away[:, :3], axis=-1) > LEAST[0]) | (
         np.linalg.norm(away[:, 3:], axis=-1) > LEAST[1]
     )
+    length = last - first
+    chance = scatter * np.sqrt(1 / length + 1 / (len(changes) - length))
+    far &= size(away) > STANDS_OUT * chance
     strange = np.where(far, distances(away, own + rest + FLOOR), 0.0)
     best = int(strange.argmax())
     return (int(first[best]), int(last[best])) if strange[best] > LIMIT else None

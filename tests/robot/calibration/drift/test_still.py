@@ -69,6 +69,20 @@ def test_covariances_that_are_too_small_are_noticed_whatever_moved():
     assert doubt(drawn(rng, offsets), told(offsets)) < 1.6
 
 
+def test_a_direction_that_is_believed_too_well_is_no_motion():
+    """Small pictures: each episode asks for centimetres, one of them where none is believed."""
+    rng = np.random.default_rng(0)
+    sigma = np.r_[0.001, 0.008, 0.008, 0.012, 0.012, 0.012]
+    changes = drawn(rng, [0 * BUMP] * 16, sigma)
+    changes[6] += np.r_[0.01, 0, 0, 0, 0, 0]
+    assert still_episodes(changes, told(changes, sigma)).all()
+    sharp = np.repeat([0.001, 0.002], 3)
+    changes = drawn(rng, [0 * BUMP] * 16, sharp)
+    changes[6] += np.r_[0.01, 0, 0, 0, 0, 0]
+    still = still_episodes(changes, told(changes, sharp))
+    assert np.flatnonzero(~still).tolist() == [6]
+
+
 def test_one_episode_and_two():
     assert still_episodes(np.zeros((1, 6)), told([0])).tolist() == [True]
     changes = np.stack([0 * BUMP, 5 * BUMP])
