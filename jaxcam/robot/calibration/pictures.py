@@ -17,6 +17,7 @@ PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 VIDEOS = (".mp4", ".mkv", ".mov", ".avi", ".webm", ".m4v")
 LARGEST = 1 << 28
 """Bytes of a picture's file."""
+ANY_DEPTH = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH
 FROM_VIDEO = 240
 """Pictures of a video that are looked at, evenly spaced."""
 
@@ -99,19 +100,26 @@ def _of_file(path: Path) -> np.ndarray:
     except OSError as error:
         raise DatasetError(f"{path} cannot be read: {error.strerror}.") from error
     try:
-        picture = cv2.imdecode(content, cv2.IMREAD_COLOR) if content.size else None
+        picture = cv2.imdecode(content, ANY_DEPTH) if content.size else None
     except cv2.error:
         picture = None
-    if picture is None:
+    if picture is None or picture.dtype not in (np.uint8, np.uint16):
         raise DatasetError(
-            f"{path}: no picture, or damaged. Expected PNG, JPEG or the like; take it out, or "
+            f"{path}: no picture of 8 or 16 bits, or damaged. Expected PNG, JPEG or the like; take it out, or "
             "save it anew."
         )
-    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+    return cv2.cvtColor(_eight_bits(picture), cv2.COLOR_BGR2RGB)
+
+
+def _eight_bits(picture: np.ndarray) -> np.ndarray:
+    """A picture's levels as uint8; deeper ones, of which 10 or 12 bits may be used, by their own."""
+    if picture.dtype == np.uint8:
+        return picture
+    return (picture >> max(0, int(picture.max()).bit_length() - 8)).astype(np.uint8)
 
 
 def _of_video(path: Path) -> Iterator[NamedPicture]:
-    """At most `FROM_VIDEO` pictures of a video, evenly spaced."""
+    """At most `FROM_VIDEO` pictures of a video, evenly spaced, turned as players show them."""
     try:
         with av.open(str(path)) as container:
             if not container.streams.video:
@@ -122,8 +130,9 @@ def _of_video(path: Path) -> Iterator[NamedPicture]:
             stride = max(1, -(-count // FROM_VIDEO))
             for number, picture in enumerate(container.decode(stream)):
                 if number % stride == 0:
+                    shown = np.rot90(picture.to_ndarray(format="rgb24"), picture.rotation // 90)
                     yield NamedPicture(
-                        f"{path.name}, picture {number}", picture.to_ndarray(format="rgb24")
+                        f"{path.name}, picture {number}", np.ascontiguousarray(shown)
                     )
     except (FFmpegError, OSError) as error:
         raise DatasetError(

@@ -1,5 +1,7 @@
 """Pictures from folders, files and videos."""
 
+import struct
+
 import cv2
 import numpy as np
 import pytest
@@ -33,9 +35,33 @@ def test_a_video_is_looked_at_evenly(tmp_path):
     assert pictures[3].name == "a.mp4, picture 3"
 
 
+def test_a_video_that_was_filmed_upright_is_shown_upright(tmp_path):
+    """Phones store the picture as the sensor has it, and beside it how to turn it."""
+    wide = picture(size=(24, 32))
+    wide[:8] = 255
+    write_video(tmp_path / "a.mp4", np.stack([wide] * 3))
+    content = (tmp_path / "a.mp4").read_bytes()
+    at = content.index(b"tkhd") + 4 + 4 + 5 * 4 + 4 * 4  # version, times, duration; layers, volume
+    quarter = struct.pack(">9i", 0, 1 << 16, 0, -1 << 16, 0, 0, 0, 0, 1 << 30)
+    (tmp_path / "a.mp4").write_bytes(content[:at] + quarter + content[at + 36 :])
+    shown = next(read_pictures([str(tmp_path / "a.mp4")]))
+    assert shown.size == (24, 32)
+    assert shown.grey[:, -4:].min() > 200  # a quarter to the right: what was above is on the right
+    assert shown.grey[:, :8].max() < 100
+
+
+@pytest.mark.parametrize("bits", [12, 16])
+def test_deeper_pictures_have_their_own_levels(tmp_path, bits):
+    levels = np.linspace(0, 1, 32)[None].repeat(24, 0) * (2**bits - 1)
+    cv2.imwrite(str(tmp_path / "a.tiff"), levels.astype(np.uint16))
+    (shown,) = read_pictures([str(tmp_path)])
+    assert shown.rgb.dtype == np.uint8
+    np.testing.assert_allclose(shown.grey[0], np.linspace(0, 255, 32), atol=1.5)
+
+
 @pytest.mark.parametrize(
     ("name", "content", "match"),
-    [("a.png", b"no picture", "no picture, or damaged"), ("a.png", b"", "no picture, or damaged"),
+    [("a.png", b"no picture", "no picture.*, or damaged"), ("a.png", b"", "no picture.*, or damaged"),
      ("a.mp4", b"no video", "cannot be read, or damaged")],
 )  # fmt: skip
 def test_what_cannot_be_read(tmp_path, name, content, match):
