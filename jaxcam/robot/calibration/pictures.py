@@ -105,14 +105,14 @@ def _of_file(path: Path) -> np.ndarray:
         picture = None
     if picture is None or picture.dtype not in (np.uint8, np.uint16):
         raise DatasetError(
-            f"{path}: no picture of 8 or 16 bits, or damaged. Expected PNG, JPEG or the like; take it out, or "
-            "save it anew."
+            f"{path}: no picture of 8 or 16 bits, or damaged. Expected PNG, JPEG or the like; "
+            "take it out, or save it anew."
         )
     return cv2.cvtColor(_eight_bits(picture), cv2.COLOR_BGR2RGB)
 
 
 def _eight_bits(picture: np.ndarray) -> np.ndarray:
-    """A picture's levels as uint8; deeper ones, of which 10 or 12 bits may be used, by their own."""
+    """A picture's levels as uint8; of 16 bits those that are used, which may be 10 or 12."""
     if picture.dtype == np.uint8:
         return picture
     return (picture >> max(0, int(picture.max()).bit_length() - 8)).astype(np.uint8)

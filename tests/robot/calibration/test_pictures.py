@@ -61,7 +61,7 @@ def test_deeper_pictures_have_their_own_levels(tmp_path, bits):
 
 @pytest.mark.parametrize(
     ("name", "content", "match"),
-    [("a.png", b"no picture", "no picture.*, or damaged"), ("a.png", b"", "no picture.*, or damaged"),
+    [("a.png", b"no picture", "no picture.* or damaged"), ("a.png", b"", "no picture.* or damaged"),
      ("a.mp4", b"no video", "cannot be read, or damaged")],
 )  # fmt: skip
 def test_what_cannot_be_read(tmp_path, name, content, match):
