@@ -31,17 +31,14 @@ from jaxcam.robot.calibration.drift.change import (
     runs_of,
     with_common_joints,
 )
+from jaxcam.robot.calibration.drift.still import are_unsure, single_spread
 from jaxcam.robot.calibration.figures import space_figure
 from jaxcam.robot.calibration.known import require_view
 from jaxcam.robot.calibration.page import CalibrationPage, page_path, spread_out, write_calibration
-from jaxcam.robot.calibration.projection import spread_of
 
 POSE_OFF = 0.02, np.deg2rad(1.0)
 """Changes (m, rad) that all episodes ask for from which on the given pose is called off; faults of
 joints of half a degree ask for less."""
-UNSURE = 0.012, np.deg2rad(0.75)
-"""Standard deviations (m, rad) of what single episodes ask for, in the median, from which on they
-do not tell that a camera stood still; on drawn films they are 3 to 6 mm and 0.2 to 0.4 degrees."""
 
 
 @dataclass(frozen=True)
@@ -63,14 +60,14 @@ class ViewDrift:
     @property
     def spread(self) -> tuple[float, float]:
         """Standard deviations (m, rad) of what single episodes ask for, in the median."""
-        spreads = [spread_of(one.asked.covariance) for one in self.episodes]
-        place, turn = np.median(spreads, 0)
-        return float(place), float(turn)
+        return single_spread(np.stack([one.asked.covariance for one in self.episodes]))
 
     @property
     def unsure(self) -> bool:
         """Whether episodes ask for too different things to tell that the camera stood still."""
-        return bool(self.episodes) and any(np.greater(self.spread, UNSURE))
+        return bool(self.episodes) and are_unsure(
+            np.stack([one.asked.covariance for one in self.episodes])
+        )
 
 
 def calibrate_drift(config: DriftConfig, console: Console) -> None:

@@ -6,6 +6,8 @@ of them could not tell; the rest is what they are held against.
 
 import numpy as np
 
+from jaxcam.robot.calibration.projection import spread_of
+
 FLOOR = np.diag(np.square(np.repeat([0.0003, np.deg2rad(0.015)], 3)))
 """Covariance (m, rad) that a change has at least, however many episodes ask for it."""
 LIMIT = 36.0
@@ -13,9 +15,12 @@ LIMIT = 36.0
 one in 360 000 has 36; those of so few pictures have longer tails, and many runs are tried."""
 LEAST = 0.004, np.deg2rad(0.25)
 """Changes (m, rad) below both of which nothing is said."""
-STANDS_OUT = 2.5
-"""Times what single episodes ask for, neighbours held against each other, that a motion must be.
-Directions that small pictures seem to tell well may be told wrongly; this asks for none."""
+UNSURE = 0.012, np.deg2rad(0.75)
+"""Standard deviations (m, rad) of what single episodes ask for, in the median, from which on they
+do not tell that a camera stood still; on drawn films they are 3 to 6 mm and 0.2 to 0.4 degrees."""
+DOUBTED = 4.0
+"""Times `LIMIT` that squared distances are then held to: pictures of 72 rows only seem to tell some
+directions well."""
 SHARE = 0.25
 """Share of the episodes that are enough to be what others are held against."""
 EXPLAINED = 2.5
@@ -39,6 +44,21 @@ def doubt(changes: np.ndarray, spreads: np.ndarray) -> float:
     return max(1.0, float(np.median(steps)) / TYPICAL)
 
 
+def single_spread(spreads: np.ndarray) -> tuple[float, float]:
+    """Standard deviations (m, rad) of what single episodes ask for, in the median.
+
+    Args:
+        spreads: Covariances, [n, 6, 6].
+    """
+    place, turn = np.median([spread_of(spread) for spread in spreads], 0)
+    return float(place), float(turn)
+
+
+def are_unsure(spreads: np.ndarray) -> bool:
+    """Whether single episodes ask for too different things to tell that a camera stood still."""
+    return any(np.greater(single_spread(spreads), UNSURE))
+
+
 def still_episodes(changes: np.ndarray, spreads: np.ndarray) -> np.ndarray:
     """In which episodes the camera stood where it did in most.
 
@@ -54,10 +74,10 @@ def still_episodes(changes: np.ndarray, spreads: np.ndarray) -> np.ndarray:
         Bool [n].
     """
     still = np.ones(len(changes), bool)
-    scatter = _scatter(changes)
+    limit = LIMIT * (DOUBTED if are_unsure(spreads) else 1)
     while still.sum() > 1:
         rows = np.flatnonzero(still)
-        run = _strangest(changes[rows], spreads[rows], scatter)
+        run = _strangest(changes[rows], spreads[rows], limit)
         if run is None:
             break
         sides = rows[run[0] : run[1]], np.delete(rows, slice(*run))
@@ -71,14 +91,7 @@ def still_episodes(changes: np.ndarray, spreads: np.ndarray) -> np.ndarray:
     return still
 
 
-def _scatter(changes: np.ndarray) -> float:
-    """The size of what a single episode asks for by chance; zero where too few tell it."""
-    if len(changes) < 4:
-        return 0.0
-    return float(np.median(size(np.diff(changes, axis=0)))) / 2**0.5
-
-
-def _strangest(changes: np.ndarray, spreads: np.ndarray, scatter: float) -> tuple[int, int] | None:
+def _strangest(changes: np.ndarray, spreads: np.ndarray, limit: float) -> tuple[int, int] | None:
     """The run of episodes [first, last) that differs most from the rest; None if none does."""
     weights = np.linalg.inv(spreads)
     pulls = (weights @ changes[..., None])[..., 0]
@@ -95,12 +108,9 @@ def _strangest(changes: np.ndarray, spreads: np.ndarray, scatter: float) -> tupl
     far = (np.linalg.norm(away[:, :3], axis=-1) > LEAST[0]) | (
         np.linalg.norm(away[:, 3:], axis=-1) > LEAST[1]
     )
-    length = last - first
-    chance = scatter * np.sqrt(1 / length + 1 / (len(changes) - length))
-    far &= size(away) > STANDS_OUT * chance
     strange = np.where(far, distances(away, own + rest + FLOOR), 0.0)
     best = int(strange.argmax())
-    return (int(first[best]), int(last[best])) if strange[best] > LIMIT else None
+    return (int(first[best]), int(last[best])) if strange[best] > limit else None
 
 
 def mean(changes: np.ndarray, spreads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
