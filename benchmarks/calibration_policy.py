@@ -53,13 +53,13 @@ def outcomes(evaluator: Evaluator, candidate: Candidate, errors: np.ndarray) -> 
         filled = np.r_[numbers, np.repeat(numbers[-1], width - len(numbers))]
         pairs = evaluator.pairs("test", filled.tolist())
         K = intrinsics(evaluator.task.fovy_deg, *evaluator.size)
-        told = invert(evaluator.scene.world_from_base) @ pairs.cameras @ errors[filled, None]
+        poses = invert(evaluator.scene.world_from_base) @ pairs.cameras @ errors[filled, None]
         episodes = Episodes(
             pairs.start,
             K=np.broadcast_to(K, (*pairs.cameras.shape[:2], 3, 3)),
             world_from_camera=pairs.cameras,
             alive=np.arange(width) < len(numbers),
-            claimed=Told(base_from_camera=told.astype(np.float32)),
+            claimed=Told(base_from_camera=poses.astype(np.float32)),
         )
         with candidate.acting(evaluator) as agent:
             done = rollout(agent, evaluator.task, evaluator.engine, evaluator.renderer, episodes)

@@ -80,7 +80,7 @@ class TrainConfig:
     conditioning: FromPreset[Conditioning] = PRESET
     """How the policy is told where its cameras are."""
     action_space: Annotated[
-        FromPreset[ActionChoice], default("eef_delta, or a recorded dataset's own")
+        FromPreset[ActionChoice], default("the preset's, or a recorded dataset's own")
     ] = PRESET
     """What the policy's actions mean; native is whatever a recorded dataset's do. Grip poses become
     what they move by and back, and so do joint angles."""
@@ -248,7 +248,8 @@ class TrainConfig:
             raise ConfigError("--pose-noise-per goes with --pose-noise: say how large errors are.")
         if self.eval_fovy != NOMINAL:
             keep_canonical(self, "eval_fovy")
-        check_rotation_form(vars(self)["action_space"] or "eef_delta", self.rotations)
+        if (space := vars(self)["action_space"]) is not None:
+            check_rotation_form(space, self.rotations)
         check_action_frame(vars(self)["action_space"], self.action_frame)
         check_ray_frame(self.ray_frame, self.action_frame, vars(self)["conditioning"])
         check_least(self, 1, "views steps batch n demos pairs keep log_every eval_every")

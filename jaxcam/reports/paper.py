@@ -6,6 +6,7 @@ Its figures give no numbers, so only Table I can stand beside ours.
 from collections.abc import Mapping
 from typing import Any
 
+from jaxcam.config.presets import PRESETS
 from jaxcam.results.rows import CONDITIONS
 from jaxcam.runs.identity import OF_CAMERAS
 
@@ -82,15 +83,20 @@ def success(policy: str, task: str, conditioned: bool) -> float | None:
 def is_table_setting(settings: Mapping[str, Any]) -> bool:
     """Whether the settings, apart from budget and size, are those of Table I.
 
+    Actions are the paper's, or what the preset has instead.
+
     Args:
         settings: Of an arm; what is not recorded is taken to be as in Table I.
     """
-    wanted = {"scene": "randomized", "action_space": "eef_delta"}
+    known = PRESETS.get((settings.get("policy"), settings.get("preset")))  # pyright: ignore
+    spaces = {None, "eef_delta", known and known.action_space}
     crop, m = settings.get("crop_min"), settings.get("m")
     if any(settings.get(name, usual) != usual for name, usual in _BEYOND.items()):
         return False
     return (
-        all(settings.get(name) in (None, value) for name, value in wanted.items())
+        settings.get("scene") in (None, "randomized")
+        and settings.get("action_space") in spaces
+        and settings.get("rotations") in (None, "nominal")
         and (crop is None or crop < 1)
         and m != 0  # that is the figure on numbers of cameras
     )

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 from jaxcam.config.conditions import OPTICS, of_task
 from jaxcam.config.fields import fill, from_json
-from jaxcam.config.presets import PRESETS, Preset
+from jaxcam.config.presets import PRESETS, Preset, preset_of
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
 from jaxcam.files.paths import read_text
@@ -76,7 +76,7 @@ def resolve(config: TrainConfig, *, accelerator: bool) -> TrainConfig:
         return config
     name, preset = policy_preset(config, accelerator)
     values = {k: v for k, v in vars(preset).items() if k not in ("warmup", "steps_per_call")}
-    config = fill(replace(config, preset=name), **_of_subject(config.task), **values)
+    config = fill(replace(config, preset=name), **values | _of_subject(config.task))
     # XLA's CPU loops run convolutions many times slower.
     at_most = preset.steps_per_call if accelerator else 1
     config = fill(
@@ -93,7 +93,7 @@ def _of_subject(task: str) -> Settings:
         return {"views": 1, "n": 1, "m": 0, "action_space": "native"}
     task_itself = make_task(task)
     n, m = task_itself.stair
-    return {"views": task_itself.views, "n": n, "m": m, "action_space": USUAL_SPACE}
+    return {"views": task_itself.views, "n": n, "m": m}
 
 
 def policy_preset(config: TrainConfig, accelerator: bool) -> tuple[str, Preset]:
@@ -112,7 +112,7 @@ def policy_preset(config: TrainConfig, accelerator: bool) -> tuple[str, Preset]:
     if (config.policy, name) not in PRESETS:
         known = ", ".join(name for policy, name in PRESETS if policy == config.policy)
         raise ConfigError(f"{config.policy} has no preset '{name}', only {known}.")
-    return name, PRESETS[config.policy, name]
+    return name, preset_of(config.policy, name, config.task)
 
 
 def read_config(folder: Path) -> TrainConfig:
@@ -168,7 +168,8 @@ def default_folder(config: TrainConfig) -> str:
     Args:
         config: Settings; all but `run_dir` have values.
     """
-    usual = _of_subject(config.task)
+    usual = {"action_space": policy_preset(config, False)[1].action_space}
+    usual |= _of_subject(config.task)
     names = ("task", "policy", "preset", "conditioning") if config.task == RECORDED else _NAMED
     parts = [getattr(config, name) for name in names]
     if config.conditioning == "none" and (twin_of := _said_twin(config.model)):

@@ -19,7 +19,7 @@ def test_a_figure_has_the_arms_that_differ_in_its_setting_alone(tmp_path):
     }  # fmt: skip
     (cameras,) = panels(BY_FIELD["n"], arms)
     assert list(cameras.arms) == [3, 30]
-    assert cameras.title == "Lift\nACT, laptop preset, steps 2000"
+    assert cameras.title == "Lift\nACT, laptop preset"
     assert panels(BY_FIELD["action_space"], arms) == []
 
 

@@ -53,12 +53,12 @@ def test_gains_are_paired(runs):
 
 def test_arms_are_compared_only_where_nothing_else_differs(tmp_path):
     make_run(tmp_path / "a", conditioning="none", model=("twin_of=late",))
-    make_run(tmp_path / "b", conditioning="late", steps=2000)
+    make_run(tmp_path / "b", conditioning="late", steps=1000)
     arms = arms_of(tmp_path)
     assert len(arms) == 2
     assert gains_table(arms) is None
     assert {arm.label() for arm in arms} == {
-        "laptop preset, twin of late", "laptop preset, steps 2000"
+        "laptop preset, twin of late", "laptop preset, steps 1000"
     }  # fmt: skip
     assert all("+" not in row[2] for row in table_one(arms).rows if "ours" in row[1])
 

@@ -51,7 +51,7 @@ def test_a_run_of_a_task_is_served_as_its_policy_acts(lift):
     with serving(lift) as url, Client(url) as client:
         about, answer = client.metadata, client.infer(message)
     assert about["views"] == ["view_0"]
-    assert (about["task"], about["action_space"], about["rate"]) == ("lift", "eef_delta", 20)
+    assert (about["task"], about["action_space"], about["rate"]) == ("lift", "eef_abs", 20)
     assert (about["chunk"], about["execute"], about["image_size"]) == (6, 6, [16, 16])
     assert (about["needs_cameras"], about["cameras_given"]) == (True, False)
     assert about["weights_sha"] == lift.candidate.weights_sha
@@ -90,9 +90,9 @@ def test_a_run_of_a_recorded_dataset_has_the_datasets_names(tmp_path, monkeypatc
         session.ask({**pictures, "observation.images.font": 0})
 
 
-def test_ensembling_gives_one_action_at_a_time(lift_run):
+def test_ensembling_gives_one_action_at_a_time(tmp_path):
     with pytest.raises(ConfigError, match="eef_delta, which say how far"):
-        opened(lift_run, ensemble=0.01)
+        opened(untrained_run(tmp_path / "lift", action_space="eef_delta"), ensemble=0.01)
     config = resolve(TrainConfig(task="recorded", action_is="joint_abs"), accelerator=False)
     service = replace(linear_service(), config=config, ensemble=0.01)
     plain = service.session(0)

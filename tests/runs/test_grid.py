@@ -18,7 +18,7 @@ from jaxcam.runs.identity import identity, network_of
 
 
 def test_a_grid_is_every_combination_once(write):
-    text = SMALL + "  - {{task: lift, conditioning: late, seed: [0, 1], action_space: eef_delta}}\n"
+    text = SMALL + "  - {{task: lift, conditioning: late, seed: [0, 1], action_space: eef_abs}}\n"
     text += "  - {{task: lift, conditioning: late, seed: 0, crop_min: 1.0, n: 10, m: 0}}\n"
     plan = read_grid(write(text))
     usual = "lift-randomized-act-laptop-{}-steps40-{}"

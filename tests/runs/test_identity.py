@@ -64,13 +64,18 @@ def test_a_run_of_version_0_1_0_keeps_its_rotations(tmp_path, space, rotations):
 
 def test_rotations_are_of_one_action_space():
     with pytest.raises(ConfigError, match="rotations is for action_space eef_abs, not eef_delta"):
-        TrainConfig(rotations="world")
-    assert "rotations" not in identity(LAPTOP)
+        TrainConfig(action_space="eef_delta", rotations="world")
+    with pytest.raises(ConfigError, match="rotations is for action_space eef_abs, not eef_delta"):
+        resolve(TrainConfig(preset="paper", rotations="world"), accelerator=False)
+    assert "rotations" not in identity(dataclasses.replace(LAPTOP, action_space="eef_delta"))
     new, old = (
         resolve(TrainConfig(action_space="eef_abs", rotations=r), accelerator=False)
         for r in ("nominal", "world")
     )
-    assert changes(identity(new) | {"engine": "native"}) == {"action_space": "eef_abs"}
+    assert changes(identity(new) | {"engine": "native"}) == {}
+    delta = resolve(TrainConfig(action_space="eef_delta"), accelerator=False)
+    assert changes(identity(delta) | {"engine": "native"}) == {"action_space": "eef_delta"}
+    assert delta.run_dir.endswith("-keypoints-eef_delta-0")
     assert changes(identity(old))["rotations"] == "world"
     assert identity(new) != identity(old)
 
@@ -83,6 +88,13 @@ def test_the_robots_frame_of_actions_is_not_told_and_another_one_is():
     assert changed(action_frame="camera").run_dir.endswith("-keypoints-camera_frame-0")
     (difference,) = differences(LAPTOP, dataclasses.replace(LAPTOP, action_frame="camera"))
     assert difference.changes_program
+
+
+def test_single_tasks_have_values_of_their_own():
+    lift, square = (resolve(TrainConfig(task=t), accelerator=False) for t in ("lift", "square"))
+    assert (lift.steps, square.steps) == (2000, 4000)
+    assert lift.warmup == square.warmup == 200
+    assert changes(identity(lift) | {"engine": "native"}) == {}
 
 
 def test_given_values_win_over_the_preset():

@@ -122,7 +122,9 @@ def test_a_whole_sheet_without_a_robot(tmp_path, servers, monkeypatch):
 def test_policies_of_ours_are_tried_over_their_own_server(tmp_path, monkeypatch):
     """Never trained, so what they do is nothing; but all that is sent and answered is real."""
     small_cameras(tmp_path)
-    run_folder = untrained_run(tmp_path / "run", views=2, conditioning="late")
+    run_folder = untrained_run(
+        tmp_path / "run", views=2, conditioning="late", action_space="eef_delta"
+    )
     service = opened(run_folder)
     with serving(service) as one, serving(service) as two:
         cameras = yaml.safe_load(sheet_for(tmp_path, (one, two)).read_text())["cameras"]
