@@ -72,7 +72,7 @@ PRESETS: dict[tuple[PolicyName, PresetName], Preset] = {
         log_every=50, eval_every=500, save_every=500,
     ),
     ("act", "attention"): Preset(
-        conditioning="late", precision="float32", resolution=84,
+        conditioning="late", action_space="eef_abs", precision="float32", resolution=84,
         steps=4000, batch=64, lr=1e-3, weight_decay=1e-4,
         schedule="cosine", warmup=200, crop_min=0.8,
         log_every=50, eval_every=500, save_every=500,
@@ -133,6 +133,7 @@ PRESETS: dict[tuple[PolicyName, PresetName], Preset] = {
 # What single tasks need otherwise; docs/results.md has what was tried.
 OF_TASKS: dict[tuple[PolicyName, PresetName, str], dict[str, Any]] = {
     ("act", "laptop", "lift"): {"steps": 2000},
+    ("act", "attention", "lift"): {"steps": 2000},
 }
 
 
