@@ -184,7 +184,8 @@ def default_folder(config: TrainConfig) -> str:
         parts.append(f"{config.views}views")
     parts += [f"{k}{v}" for k, usual in OF_CAMERAS.items() if (v := getattr(config, k)) != usual]
     parts += [Path(file).stem for file in (config.weights, config.dataset) if file]
-    return "runs/" + re.sub("[:,]", "_", "-".join([*parts, str(config.seed)]))
+    name = "-".join([*parts, str(config.seed)])
+    return "runs/" + name.replace(":", "_").replace(",", "+")
 
 
 def full_name(config: TrainConfig, *, files: bool = True) -> str:
@@ -198,7 +199,8 @@ def full_name(config: TrainConfig, *, files: bool = True) -> str:
     parts = [settings[name] for name in _NAMED]
     parts += [f"{k}{plain(v)}" for k, v in changes(settings).items()]
     parts += [_digest(*paths)] if files and (paths := _paths(config)) else []
-    name = re.sub(r"[^A-Za-z0-9.=+-]+", "_", "-".join([*parts, str(config.seed)]))
+    name = "-".join([*parts, str(config.seed)]).replace(",", "+")
+    name = re.sub(r"[^A-Za-z0-9.=+-]+", "_", name)
     if len(name) <= MOST_LETTERS:
         return name
     return f"{name[:MOST_LETTERS]}-{_digest(name)}-{config.seed}"

@@ -90,6 +90,11 @@ def test_the_robots_frame_of_actions_is_not_told_and_another_one_is():
     assert difference.changes_program
 
 
+def test_lenses_of_two_meanings_have_two_folders_and_two_names():
+    runs = [changed(lens=lens) for lens in ("opencv:-0.3:0,0.1", "opencv:-0.3,0:0.1")]
+    assert len({run.run_dir for run in runs}) == len({full_name(run) for run in runs}) == 2
+
+
 def test_single_tasks_have_values_of_their_own():
     lift, square = (resolve(TrainConfig(task=t), accelerator=False) for t in ("lift", "square"))
     assert (lift.steps, square.steps) == (2000, 4000)
