@@ -26,6 +26,7 @@ NOISE = 1.0
 """Percentage points by which the ends of a bootstrap interval may differ."""
 SIZE = {"demos": 4, "validation": 1, "steps": 40, "batch": 8, "pairs": 10, "videos": 0}
 RUN = [*(f"--{name}={value}" for name, value in SIZE.items()), "--data-dir=data"]
+RUN += ["--action-space=eef_delta"]  # as recorded
 
 
 def jaxcam(folder: Path, command: str, *flags: str) -> None:
