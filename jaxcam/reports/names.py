@@ -68,7 +68,7 @@ def markdown(text: str) -> str:
     Args:
         text: Any text.
     """
-    text = re.sub(r"([\\`<])", r"\\\1", plain_line(text))
+    text = re.sub(r"([\\`])", r"\\\1", plain_line(text)).replace("<", "&lt;")
     return re.sub(r"\]([(\[:])", r"\\]\1", text)
 
 

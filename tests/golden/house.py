@@ -62,7 +62,7 @@ def measure() -> dict:
     return record
 
 
-INTERVAL = re.compile(r"\[([-+\d.]+), ([-+\d.]+)\]|(p|\\<) (= |)?(0\.\d+)|= (0\.\d{3})")
+INTERVAL = re.compile(r"\[([-+\d.]+), ([-+\d.]+)\]|(p|\\<|&lt;) (= |)?(0\.\d+)|= (0\.\d{3})")
 
 
 def apart(old: str, new: str) -> str | None:

@@ -54,7 +54,7 @@ def test_tex_has_no_commands_of_others():
 
 
 def test_markdown_has_no_tags_links_or_code_of_others():
-    assert markdown("<img src=x> [a](b) `c`") == r"\<img src=x> [a\](b) \`c\`"
+    assert markdown("<img src=x> [a](b) `c`") == r"&lt;img src=x> [a\](b) \`c\`"
     assert markdown_cell("a|b\n*c*") == r"a\|b<br>\*c\*"
     assert markdown("[66.3, 89.2] on 50 pairs") == "[66.3, 89.2] on 50 pairs"
 
