@@ -16,9 +16,6 @@ from jaxcam.viewer import page as pages
 from jaxcam.viewer.exhibit import Exhibit
 from jaxcam.viewer.page import render_page
 
-SECONDS = 3.0
-"""In which a page of a few megabytes is there on a machine that does nothing else."""
-
 
 @pytest.fixture(scope="module")
 def exhibit():
