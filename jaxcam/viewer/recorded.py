@@ -58,7 +58,7 @@ def episode(recording: Recording, number: int, grip: str = "") -> Exhibit:
     group, colour = ("test", RED) if held_out else ("training", GREEN)
     return Exhibit(
         title=recording.path.name,
-        subtitle=f"{shown.name[:1].upper()}{shown.name[1:]}, {kind}. {shown.instruction}".strip(),
+        subtitle=f"{shown.name}, {kind}. {shown.instruction}".strip(),
         rate=recording.rate,
         viewpoints=tuple(
             _viewpoint(view, (group, colour), sight, calibration, stride)

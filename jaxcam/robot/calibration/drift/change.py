@@ -16,6 +16,7 @@ from jaxcam.robot.calibration.arm.refine import Prior, Refined, Refiner, Solutio
 from jaxcam.robot.calibration.drift.shared import Shared, shared_faults
 from jaxcam.robot.calibration.drift.still import (
     FLOOR,
+    LIMIT,
     distances,
     doubt,
     mean,
@@ -33,8 +34,6 @@ HELD_LAG = 0.002
 """Likewise of the lag (s)."""
 SHARED = (5.0, 5.0, 4.0)
 """Pixels, as above, with joints and clock as all episodes have them."""
-ALIKE = 36.0
-"""Squared distance, in standard deviations, up to which episodes ask for the same."""
 SUPPORT, NEAR = 0.3, 2.0
 """Share of the contour that must lie on edges within so many pixels."""
 
@@ -193,7 +192,7 @@ def _alike(one: Tested, run: list[Tested]) -> bool:
     """Whether an episode asks for what a run asks for together; its last alone may creep along."""
     change, covariance = _together(run)
     apart = distances((one.change - change)[None], (one.asked.covariance + covariance)[None])
-    return bool(apart[0] < ALIKE)
+    return bool(apart[0] < LIMIT)
 
 
 def _together(run: list[Tested]) -> tuple[np.ndarray, np.ndarray]:

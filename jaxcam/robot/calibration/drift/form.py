@@ -60,14 +60,16 @@ class ViewDrift:
     @property
     def spread(self) -> tuple[float, float]:
         """Standard deviations (m, rad) of what single episodes ask for, in the median."""
-        return single_spread(np.stack([one.asked.covariance for one in self.episodes]))
+        return single_spread(self._spreads)
 
     @property
     def unsure(self) -> bool:
         """Whether episodes ask for too different things to tell that the camera stood still."""
-        return bool(self.episodes) and are_unsure(
-            np.stack([one.asked.covariance for one in self.episodes])
-        )
+        return bool(self.episodes) and are_unsure(self._spreads)
+
+    @property
+    def _spreads(self) -> np.ndarray:
+        return np.stack([one.asked.covariance for one in self.episodes])
 
 
 def calibrate_drift(config: DriftConfig, console: Console) -> None:

@@ -10,10 +10,10 @@ from jaxcam.robot.calibration.projection import spread_of
 
 FLOOR = np.diag(np.square(np.repeat([0.0003, np.deg2rad(0.015)], 3)))
 """Covariance (m, rad) that a change has at least, however many episodes ask for it."""
-LIMIT = 40.0
-"""Squared distance, in standard deviations, beyond which a camera has moved. Six normal numbers
-hardly ever have it; those of so few pictures have longer tails, and many runs are tried. The middle
-of where nothing changes on films of development cameras (25 to 56)."""
+LIMIT = 36.0
+"""Squared distance, in standard deviations, beyond which a camera has moved. Of six normal numbers
+one in 360 000 has 36; those of so few pictures have longer tails, and many runs are tried. On films
+of development cameras nothing changes from 25 to 56."""
 LEAST = 0.004, np.deg2rad(0.25)
 """Changes (m, rad) below both of which nothing is said."""
 UNSURE = 0.012, np.deg2rad(0.75)
