@@ -63,12 +63,13 @@ def markdown_cell(text: str) -> str:
 
 
 def markdown(text: str) -> str:
-    """The text as a line of Markdown, without tags, links, pictures or code of its own.
+    """The text as a line of Markdown, without tags, links, pictures, code or entities of its own.
 
     Args:
         text: Any text.
     """
-    text = re.sub(r"([\\`])", r"\\\1", plain_line(text)).replace("<", "&lt;")
+    text = re.sub(r"([\\`])", r"\\\1", plain_line(text))
+    text = re.sub(r"&(?=[#\w])", "&amp;", text).replace("<", "&lt;")
     return re.sub(r"\]([(\[:])", r"\\]\1", text)
 
 

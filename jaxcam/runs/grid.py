@@ -237,8 +237,14 @@ def progress_of(run: Planned) -> Standing:
 
     Raises:
         DatasetError: Its metrics or its rows are damaged, or rows in its folder are not its own.
-        ConfigError: Its config.json is damaged.
+        ConfigError: Its config.json is damaged, or is that of another run, such as of one that was
+            made when the preset had other values.
     """
+    if (run.folder / "config.json").is_file() and (others := _others(run.folder, run.config)):
+        raise ConfigError(
+            f"{run.folder} is of a run with other settings ({'; '.join(others)}). Presets may have "
+            "had other values when it was made: state its own in the grid, or move it away."
+        )
     metrics = read_metrics(run.folder)
     step = int(max((row["step"] for row in metrics), default=0))
     rows = [
@@ -255,6 +261,12 @@ def progress_of(run: Planned) -> Standing:
     )
     own = [row for row in latest_rows(rows) if row.conditions == said[0]]
     return Standing(step, asked - to_run, asked, success_rate(own))
+
+
+def _others(folder: Path, config: TrainConfig) -> list[str]:
+    """In what the run of a folder is another one; machines have their own steps per call."""
+    changed = differences(stored_config(folder), config)
+    return [str(d) for d in changed if d.changes_program and d.field != "steps_per_call"]
 
 
 def _to_run(rows: Sequence[Row], pairs: int) -> int:

@@ -182,10 +182,10 @@ def default_folder(config: TrainConfig) -> str:
         parts.append(f"n{config.n}m{config.m}")
     if config.views != usual["views"]:
         parts.append(f"{config.views}views")
-    parts += [f"{k}{v}" for k, usual in OF_CAMERAS.items() if (v := getattr(config, k)) != usual]
+    cameras = {k: getattr(config, k) for k in OF_CAMERAS}
+    parts += [f"{k}{_in_name(v)}" for k, v in cameras.items() if v != OF_CAMERAS[k]]
     parts += [Path(file).stem for file in (config.weights, config.dataset) if file]
-    name = "-".join([*parts, str(config.seed)])
-    return "runs/" + name.replace(":", "_").replace(",", "+")
+    return "runs/" + re.sub("[:,]", "_", "-".join([*parts, str(config.seed)]))
 
 
 def full_name(config: TrainConfig, *, files: bool = True) -> str:
@@ -197,13 +197,18 @@ def full_name(config: TrainConfig, *, files: bool = True) -> str:
     """
     settings = identity(config) | {"engine": USUAL_WAY["engine"]}  # it trains nothing else
     parts = [settings[name] for name in _NAMED]
-    parts += [f"{k}{plain(v)}" for k, v in changes(settings).items()]
+    parts += [f"{k}{_in_name(v)}" for k, v in changes(settings).items()]
     parts += [_digest(*paths)] if files and (paths := _paths(config)) else []
-    name = "-".join([*parts, str(config.seed)]).replace(",", "+")
-    name = re.sub(r"[^A-Za-z0-9.=+-]+", "_", name)
+    name = re.sub(r"[^A-Za-z0-9.=+-]+", "_", "-".join([*parts, str(config.seed)]))
     if len(name) <= MOST_LETTERS:
         return name
     return f"{name[:MOST_LETTERS]}-{_digest(name)}-{config.seed}"
+
+
+def _in_name(value: Any) -> str:
+    """A setting's value in a name, where colons and commas of lenses must not look the same."""
+    text = plain(value)
+    return text.replace(",", "+") if ":" in text else text
 
 
 def _paths(config: TrainConfig) -> list[str]:

@@ -55,6 +55,7 @@ def test_tex_has_no_commands_of_others():
 
 def test_markdown_has_no_tags_links_or_code_of_others():
     assert markdown("<img src=x> [a](b) `c`") == r"&lt;img src=x> [a\](b) \`c\`"
+    assert markdown("&lt;b> R&D &#60; a & b") == "&amp;lt;b> R&amp;D &amp;#60; a & b"
     assert markdown_cell("a|b\n*c*") == r"a\|b<br>\*c\*"
     assert markdown("[66.3, 89.2] on 50 pairs") == "[66.3, 89.2] on 50 pairs"
 

@@ -155,6 +155,20 @@ def test_runs_that_would_share_a_folder_are_refused(write, changed):
         read_grid(write(grid_of(changed)))
 
 
+def test_a_folder_of_a_run_with_other_settings_is_not_what_the_grid_asks_for(write):
+    """As where its preset had another action space; the name says only what the preset has not."""
+    run = read_grid(write()).runs[0]
+    run.folder.mkdir(parents=True)
+    on_accelerator = replace(run.config, steps_per_call=10)
+    (run.folder / "config.json").write_text(to_json(on_accelerator))
+    assert progress_of(run).step == 0
+    (run.folder / "config.json").write_text(to_json(replace(run.config, action_space="eef_delta")))
+    with pytest.raises(
+        ConfigError, match=r"other settings .action_space: 'eef_delta' -> 'eef_abs'"
+    ):
+        progress_of(run)
+
+
 def test_a_long_name_is_cut_and_told_apart(write):
     models = [[f"heat_gain={i}.{1:0200d}"] for i in (1, 2)]
     names = {run.name for run in read_grid(write(grid_of({"model": models}))).runs}

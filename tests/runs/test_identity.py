@@ -95,6 +95,13 @@ def test_lenses_of_two_meanings_have_two_folders_and_two_names():
     assert len({run.run_dir for run in runs}) == len({full_name(run) for run in runs}) == 2
 
 
+def test_settings_with_commas_alone_keep_the_names_of_version_0_2_0():
+    """Their runs go on in the folders they have, and grids find them."""
+    run = changed(pose_noise="1,1", model=("cut=(1,2)",), weights="a,b.pt")
+    assert run.run_dir.endswith("-pose_noise1_1-a_b-0")
+    assert "-pose_noise1_1-modelcut=_1_2_-weightsa_b-" in full_name(run)
+
+
 def test_single_tasks_have_values_of_their_own():
     lift, square = (resolve(TrainConfig(task=t), accelerator=False) for t in ("lift", "square"))
     assert (lift.steps, square.steps) == (2000, 4000)

@@ -8,6 +8,7 @@ import av
 import cv2
 import numpy as np
 from av.error import FFmpegError
+from av.sidedata.sidedata import Type as SideDataType
 
 from jaxcam.errors import DatasetError
 from jaxcam.files.paths import absolute, read_bytes
@@ -20,6 +21,8 @@ LARGEST = 1 << 28
 ANY_DEPTH = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH
 FROM_VIDEO = 240
 """Pictures of a video that are looked at, evenly spaced."""
+ODD = 0.02
+"""Share of a quarter turn's numbers that the others of a display matrix may have: a degree."""
 
 
 @dataclass(frozen=True)
@@ -130,14 +133,31 @@ def _of_video(path: Path) -> Iterator[NamedPicture]:
             stride = max(1, -(-count // FROM_VIDEO))
             for number, picture in enumerate(container.decode(stream)):
                 if number % stride == 0:
-                    shown = np.rot90(picture.to_ndarray(format="rgb24"), picture.rotation // 90)
-                    yield NamedPicture(
-                        f"{path.name}, picture {number}", np.ascontiguousarray(shown)
-                    )
+                    yield NamedPicture(f"{path.name}, picture {number}", _as_shown(path, picture))
     except (FFmpegError, OSError) as error:
         raise DatasetError(
             f"{path}: a video that cannot be read, or damaged ({error.strerror})."
         ) from error
+
+
+def _as_shown(path: Path, picture: av.VideoFrame) -> np.ndarray:
+    """A video's picture as its display matrix says to show it: turned, mirrored, or as it is."""
+    rgb = picture.to_ndarray(format="rgb24")
+    matrix = picture.side_data.get(SideDataType.DISPLAYMATRIX)
+    if matrix is None:
+        return rgb
+    a, b, _, c, d = np.frombuffer(matrix, np.int32)[:5].astype(float)
+    small, large = sorted((np.abs([a, d]).max(), np.abs([b, c]).max()))
+    if large == 0:  # it says nothing
+        return rgb
+    if small > ODD * large:
+        raise DatasetError(
+            f"{path}: players show this video turned by {-picture.rotation} degrees. Only quarter "
+            "turns can be undone: save it anew, as it is to be seen."
+        )
+    right, down = (a, d) if abs(a) > abs(b) else (c, b)
+    rgb = rgb if abs(a) > abs(b) else rgb.swapaxes(0, 1)
+    return np.ascontiguousarray(rgb[:: -1 if down < 0 else 1, :: -1 if right < 0 else 1])
 
 
 def _count(path: Path) -> int:

@@ -35,19 +35,44 @@ def test_a_video_is_looked_at_evenly(tmp_path):
     assert pictures[3].name == "a.mp4, picture 3"
 
 
-def test_a_video_that_was_filmed_upright_is_shown_upright(tmp_path):
-    """Phones store the picture as the sensor has it, and beside it how to turn it."""
-    wide = picture(size=(24, 32))
-    wide[:8] = 255
-    write_video(tmp_path / "a.mp4", np.stack([wide] * 3))
-    content = (tmp_path / "a.mp4").read_bytes()
+QUARTER = {"right": (0, 1, -1, 0), "half": (-1, 0, 0, -1), "left": (0, -1, 1, 0),
+           "mirrored": (-1, 0, 0, 1), "over": (1, 0, 0, -1), "swapped": (0, 1, 1, 0),
+           "says nothing": (0, 0, 0, 0), "nearly right": (0.001, 1, -1, 0.001)}  # fmt: skip
+
+
+def filmed(path, picture, matrix):
+    """A video of a picture that players show turned or mirrored; phones store both."""
+    write_video(path, np.stack([picture] * 3))
+    content = path.read_bytes()
     at = content.index(b"tkhd") + 4 + 4 + 5 * 4 + 4 * 4  # version, times, duration; layers, volume
-    quarter = struct.pack(">9i", 0, 1 << 16, 0, -1 << 16, 0, 0, 0, 0, 1 << 30)
-    (tmp_path / "a.mp4").write_bytes(content[:at] + quarter + content[at + 36 :])
-    shown = next(read_pictures([str(tmp_path / "a.mp4")]))
-    assert shown.size == (24, 32)
-    assert shown.grey[:, -4:].min() > 200  # a quarter to the right: what was above is on the right
-    assert shown.grey[:, :8].max() < 100
+    a, b, c, d = (round(x * (1 << 16)) for x in matrix)
+    shown = struct.pack(">9i", a, b, 0, c, d, 0, 0, 0, 1 << 30)
+    path.write_bytes(content[:at] + shown + content[at + 36 :])
+    return path
+
+
+@pytest.mark.parametrize(
+    ("way", "shown"),
+    [("right", np.s_[::-1, :]), ("half", np.s_[::-1, ::-1]), ("left", np.s_[:, ::-1]),
+     ("mirrored", np.s_[:, ::-1]), ("over", np.s_[::-1, :]), ("swapped", np.s_[:, :]),
+     ("says nothing", np.s_[:, :]), ("nearly right", np.s_[::-1, :])],
+)  # fmt: skip
+def test_videos_are_shown_as_players_show_them(tmp_path, way, shown):
+    stored = np.zeros((32, 48, 3), np.uint8)
+    stored[:16, :24], stored[:16, 24:] = 255, 128
+    expected = stored[shown]
+    if way in ("right", "left", "swapped", "nearly right"):
+        expected = expected.swapaxes(0, 1)
+    (first, *_) = read_pictures([str(filmed(tmp_path / "a.mp4", stored, QUARTER[way]))])
+    assert first.rgb.shape == expected.shape
+    assert np.abs(first.rgb.astype(int) - expected).mean() < 12
+
+
+def test_a_video_that_is_shown_at_an_odd_angle_is_refused(tmp_path):
+    turned = np.float64([1, 1, -1, 1]) / np.sqrt(2)
+    path = filmed(tmp_path / "a.mp4", picture(size=(24, 32)), turned)
+    with pytest.raises(DatasetError, match=r"turned by 45 degrees. Only quarter turns"):
+        next(read_pictures([str(path)]))
 
 
 @pytest.mark.parametrize("bits", [12, 16])
