@@ -8,7 +8,6 @@ import av
 import cv2
 import numpy as np
 from av.error import FFmpegError
-from av.sidedata.sidedata import Type as SideDataType
 
 from jaxcam.errors import DatasetError
 from jaxcam.files.paths import absolute, read_bytes
@@ -143,7 +142,7 @@ def _of_video(path: Path) -> Iterator[NamedPicture]:
 def _as_shown(path: Path, picture: av.VideoFrame) -> np.ndarray:
     """A video's picture as its display matrix says to show it: turned, mirrored, or as it is."""
     rgb = picture.to_ndarray(format="rgb24")
-    matrix = picture.side_data.get(SideDataType.DISPLAYMATRIX)
+    matrix = picture.side_data.get("DISPLAYMATRIX")
     if matrix is None:
         return rgb
     a, b, _, c, d = np.frombuffer(matrix, np.int32)[:5].astype(float)
