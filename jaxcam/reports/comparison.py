@@ -20,6 +20,7 @@ from jaxcam.reports import paper
 from jaxcam.reports.arms import Arm, Run, context, group
 from jaxcam.reports.axes.fovy import fovy_blocks
 from jaxcam.reports.axes.pose_errors import pose_error_blocks
+from jaxcam.reports.axes.scaling import scaling_blocks
 from jaxcam.reports.camera_figures import rate_by_camera
 from jaxcam.reports.document import (
     Block,
@@ -99,6 +100,7 @@ def write_comparison(
         *_studies(arms, out),
         *pose_error_blocks(arms, out),
         *fovy_blocks(arms, out),
+        *scaling_blocks(arms, out),
         *_maps(arms, out),
     ]
     blocks += [*_recorded(runs), Heading("Runs"), runs_table(runs, _videos(runs, out))]

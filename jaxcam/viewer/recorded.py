@@ -126,7 +126,7 @@ def calibrated_cameras(path: Path) -> Exhibit:
         )
     return Exhibit(
         title=path.name,
-        subtitle=f"{len(viewpoints)} calibrated cameras",
+        subtitle=f"{len(viewpoints)} calibrated camera{'s' * (len(viewpoints) != 1)}",
         viewpoints=tuple(viewpoints),
         notes=tuple(notes),
     )

@@ -1,0 +1,121 @@
+"""Success over the number of cameras and of demonstrations, with the law that both follow."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from jaxcam.reports import paper
+from jaxcam.reports.arms import Arm, context
+from jaxcam.reports.document import Block, Heading, Picture, Table
+from jaxcam.reports.names import drawn
+from jaxcam.reports.study_figures import panel_grid
+from jaxcam.reports.style import percent, save, styled
+from jaxcam.reports.tables import by_task
+from jaxcam.results.scaling import Cell, ScalingLaw, scaling_law
+
+
+@dataclass(frozen=True)
+class Surface:
+    """One policy, trained with several numbers of cameras and of demonstrations."""
+
+    arms: Mapping[Cell, Arm]
+    """By the numbers of cameras and of demonstrations, ascending."""
+    law: ScalingLaw
+
+    @property
+    def some(self) -> Arm:
+        """One of its arms, for what they share."""
+        return next(iter(self.arms.values()))
+
+
+def surfaces(arms: Sequence[Arm]) -> list[Surface]:
+    """Every policy of which enough cells are there, all cameras seen by every demonstration.
+
+    Args:
+        arms: All there are.
+    """
+    groups: dict[str, dict[Cell, Arm]] = {}
+    known = [a for a in arms if a.estimate.n and not a.is_told_wrong and a.settings.get("m") == 0]
+    for some in by_task(known).values():
+        for arm in some:
+            at = float(arm.setting("n")), float(arm.setting("demos"))
+            groups.setdefault(context(arm, "n", "demos"), {})[at] = arm
+    found = []
+    for cells in groups.values():
+        ordered = dict(sorted(cells.items()))
+        if law := scaling_law({at: arm.rows for at, arm in ordered.items()}):
+            found.append(Surface(ordered, law))
+    return found
+
+
+def scaling_blocks(arms: Sequence[Arm], out: Path) -> list[Block]:
+    """What a report says of cameras and demonstrations; nothing where both were not varied.
+
+    Args:
+        arms: All there are.
+        out: Folder of the report.
+    """
+    shown = surfaces(arms)
+    if not shown:
+        return []
+    save(over_cameras(shown), out / "figures" / "scaling.png")
+    caption = (
+        "Success over the number of cameras, by the number of demonstrations, with 95 % intervals "
+        "over pairs; dashed: the law. All demonstrations are seen by all cameras."
+    )
+    head = ("Policy", "Task", "Conditioning", "Settings", "Exponent of cameras",
+            "Exponent of demonstrations", "Odds of failure that stay", "Error on cells left out",
+            "By chance alone", "Cells, pairs")  # fmt: skip
+    words = (
+        "Odds of failure = floor + a · cameras^-alpha + b · demonstrations^-beta, fitted to the "
+        "successes, with 95 % intervals from a bootstrap over pairs. The error (points, mean of "
+        "absolute differences) is of cells that were predicted from the others; beside it, what a "
+        "law that holds would have by the number of pairs."
+    )
+    return [Heading("Cameras and demonstrations"), Picture("figures/scaling.png", caption),
+            Table(words, head, [_line_of(surface) for surface in shown])]  # fmt: skip
+
+
+def _line_of(surface: Surface) -> list[str]:
+    s, law = surface.some.settings, surface.law
+    return [
+        paper.policy_title(s["policy"]), paper.task_title(s["task"]), surface.some.way,
+        surface.some.label("n", "demos"), str(law.alpha), str(law.beta), str(law.floor),
+        f"{100 * law.error:.1f}", f"{100 * law.by_chance:.1f}", f"{len(law.cells)}, {law.pairs}",
+    ]  # fmt: skip
+
+
+@styled
+def over_cameras(shown: Sequence[Surface]) -> Figure:
+    """Success over the number of cameras, a panel for each policy.
+
+    Args:
+        shown: From `surfaces`.
+    """
+    figure, grid = panel_grid(len(shown), (4.2, 3.4))
+    for axes, surface in zip(grid, shown, strict=True):
+        counts = sorted({demos for _, demos in surface.arms})
+        for share, demos in zip(np.linspace(0.15, 0.8, len(counts)), counts, strict=True):
+            _draw(axes, surface, demos, colormaps["viridis"](share))
+        s = surface.some.settings
+        policy, task = paper.policy_title(s["policy"]), paper.task_title(s["task"])
+        axes.set_title(drawn(f"{task}, {policy}, {surface.some.way}"))
+        axes.set(ylim=(0, 1), xscale="log", xlabel="cameras")
+        axes.yaxis.set_major_formatter(percent())
+        axes.legend(title="demonstrations", fontsize=8)
+    return figure
+
+
+def _draw(axes: Axes, surface: Surface, demos: float, colour: tuple[float, ...]) -> None:
+    arms = {n: arm for (n, count), arm in surface.arms.items() if count == demos}
+    estimates = [arm.estimate for arm in arms.values()]
+    low, high = [e.low for e in estimates], [e.high for e in estimates]
+    axes.plot([*arms], [e.value for e in estimates], "o", color=colour, label=f"{demos:g}")
+    axes.fill_between([*arms], low, high, color=colour, alpha=0.13, linewidth=0)
+    cameras = np.geomspace(min(arms), max(arms), 60)
+    axes.plot(cameras, surface.law.at(cameras, demos), "--", color=colour)

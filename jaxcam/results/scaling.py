@@ -1,0 +1,166 @@
+"""Success against the number of cameras and of demonstrations: a fitted law, and its error.
+
+The odds of failure are a floor, and a part that falls with a power of either number:
+
+    (1 - p) / p = floor + a * cameras ** -alpha + b * demonstrations ** -beta
+
+This is the form in which losses of language models are fitted to their parameters and data
+(Hoffmann et al., 2022), on odds, since successes are shares. It is fitted by the likelihood of the
+successes. How good it is, is told by cells that were left out: each in turn is predicted from the
+others.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.optimize
+from scipy.special import expit
+
+from jaxcam.results.rows import Row
+from jaxcam.results.stats import LEVEL, by_pair
+
+Cell = tuple[float, float]
+"""Numbers of cameras and of demonstrations."""
+LEAST_CELLS = 6
+"""One more than the law has numbers."""
+_RESAMPLES = 200
+_STEEPEST = 4.0
+"""Exponents are at most this."""
+_ODDS = -12.0, 12.0
+"""Logarithms of the least and the largest part of the odds of failure."""
+_STARTS = np.array(
+    [(-2.0, 1.0, 0.5, 1.0, 0.5), (-6.0, 2.0, 1.0, -1.0, 0.3), (0.0, -1.0, 0.3, 2.0, 1.0)]
+)
+"""Logarithms of floor, a and b, each of these two before its exponent."""
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A number with its 95 % interval over pairs."""
+
+    value: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.value:.2f} [{self.low:.2f}, {self.high:.2f}]"
+
+
+@dataclass(frozen=True)
+class ScalingLaw:
+    """What was fitted.
+
+    Attributes:
+        cells: Numbers of cameras and demonstrations, [C, 2].
+        rates: Success of each, [C].
+        floor: Odds of failure that neither number lowers.
+        alpha: Exponent of the cameras.
+        beta: Exponent of the demonstrations.
+        error: Of cells that were left out, mean of the absolute difference (share of rollouts).
+        by_chance: What the same is of a law that holds, by the number of pairs alone.
+        pairs: That all cells share.
+    """
+
+    cells: np.ndarray
+    rates: np.ndarray
+    floor: Interval
+    alpha: Interval
+    beta: Interval
+    error: float
+    by_chance: float
+    pairs: int
+    _numbers: np.ndarray
+    _scale: np.ndarray
+
+    def at(self, cameras: np.ndarray | float, demos: np.ndarray | float) -> np.ndarray:
+        """Success by the law, of the numbers' common shape.
+
+        Args:
+            cameras: Numbers of cameras.
+            demos: Numbers of demonstrations.
+        """
+        cells = np.stack(np.broadcast_arrays(cameras, demos), -1).astype(float)
+        return success(self._numbers, cells / self._scale)
+
+
+def scaling_law(cells: Mapping[Cell, Sequence[Row]]) -> ScalingLaw | None:
+    """The law of some cells; None where there are too few, or no pair was tried in all of them.
+
+    Args:
+        cells: Rows by the numbers of cameras and of demonstrations.
+    """
+    if len(cells) < LEAST_CELLS or any(len({at[i] for at in cells}) < 2 for i in (0, 1)):
+        return None
+    means = [
+        {pair: float(np.mean([bool(r.success) for r in some])) for pair, some in groups.items()}
+        for groups, _ in (by_pair(rows) for rows in cells.values())
+    ]
+    shared = [pair for pair in means[0] if all(pair in some for some in means)]
+    if not shared:
+        return None
+    outcomes = np.array([[some[pair] for pair in shared] for some in means])
+    return fit_scaling(np.array([*cells], float), outcomes)
+
+
+def fit_scaling(cells: np.ndarray, outcomes: np.ndarray) -> ScalingLaw:
+    """The law of mean outcomes of pairs.
+
+    Args:
+        cells: Numbers of cameras and demonstrations, [C, 2].
+        outcomes: In each cell, of each pair, [C, N].
+    """
+    scale = np.exp(np.log(cells).mean(0))  # powers of what is near 1 can be told from their factors
+    scaled, rates, pairs = cells / scale, outcomes.mean(1), outcomes.shape[1]
+    numbers = _fitted(scaled, rates, _STARTS)
+    weights = np.random.default_rng(0).multinomial(pairs, np.full(pairs, 1 / pairs), _RESAMPLES)
+    drawn = weights / pairs @ outcomes.T
+    others = np.array([_fitted(scaled, some, numbers[None]) for some in drawn])
+    tail = (1 - LEVEL) / 2
+    low, high = np.quantile(others, [tail, 1 - tail], axis=0)
+    floor, alpha, beta = (
+        Interval(*(float(np.exp(x[i]) if i == 0 else x[i]) for x in (numbers, low, high)))
+        for i in (0, 2, 4)
+    )
+    rest = [np.arange(len(cells)) != i for i in range(len(cells))]
+    told = [
+        float(success(_fitted(scaled[some], rates[some], _STARTS), scaled[i]))
+        for i, some in enumerate(rest)
+    ]
+    law = success(numbers, scaled)
+    chance = np.sqrt(2 / np.pi * law * (1 - law) / pairs)  # mean of a normal number's size
+    return ScalingLaw(
+        cells, rates, floor, alpha, beta, float(abs(told - rates).mean()), float(chance.mean()),
+        pairs, numbers, scale,
+    )  # fmt: skip
+
+
+def success(numbers: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """Success by the law.
+
+    Args:
+        numbers: Logarithm of the floor, then of a factor, and its exponent, for either number.
+        cells: Numbers of cameras and demonstrations, [..., 2].
+    """
+    return expit(-_failure(numbers, cells))
+
+
+def _failure(numbers: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """Logarithm of the odds of failure."""
+    parts = numbers[[1, 3]] - numbers[[2, 4]] * np.log(cells)
+    return np.logaddexp(numbers[0], np.logaddexp(parts[..., 0], parts[..., 1]))
+
+
+def _fitted(cells: np.ndarray, rates: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    """The numbers of the law that make the successes likeliest."""
+    limits = [_ODDS, _ODDS, (0.0, _STEEPEST), _ODDS, (0.0, _STEEPEST)]
+
+    def unlikely(numbers: np.ndarray) -> float:
+        odds = _failure(numbers, cells)
+        return float((rates * np.logaddexp(0, odds) + (1 - rates) * np.logaddexp(0, -odds)).mean())
+
+    found = [
+        scipy.optimize.minimize(unlikely, start, method="L-BFGS-B", bounds=limits)
+        for start in starts
+    ]
+    return min(found, key=lambda one: one.fun).x
