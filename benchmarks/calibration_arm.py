@@ -14,6 +14,7 @@ import numpy as np
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 
+from jaxcam.config.calibrate_arm import ArmConfig, DriftConfig
 from jaxcam.config.datasets import CollectConfig
 from jaxcam.data.collection import collect
 from jaxcam.data.demos import Demo
@@ -29,18 +30,20 @@ from jaxcam.sim import make_painter, make_task
 from jaxcam.sim.controllers import CONTROL_HZ
 from jaxcam.sim.types import View
 
-SIDE, EPISODES, PICTURES, BLUR = 256, 8, 8, 3
+SIDE, EPISODES, BLUR = 256, 8, 3
+ARM_PICTURES, DRIFT_PICTURES = ArmConfig.most, DriftConfig.most
+"""Of each episode, as the commands take them."""
 DEMOS, SEED = 40, 7
 OFF = np.deg2rad(0.5)
 NOISE = 2.0
 OPEN = 0.08
 
 
-def film_of(camera: int, folder: Path) -> tuple[Film, np.ndarray, np.ndarray]:
+def film_of(camera: int, pictures: int, folder: Path) -> tuple[Film, np.ndarray, np.ndarray]:
     """Eight episodes from one of the authors' test cameras, where it stands, and joints' faults."""
-    path = folder / f"cam{camera}.npz"
+    path = folder / f"cam{camera}-{pictures}.npz"
     if not path.exists():
-        draw_film(camera, path)
+        draw_film(camera, pictures, path)
     with np.load(path) as file:
         values = dict(file)
     angles, speeds = values["q"], np.zeros_like(values["q"])
@@ -54,8 +57,8 @@ def film_of(camera: int, folder: Path) -> tuple[Film, np.ndarray, np.ndarray]:
     return film, values["pose"], values["off"]
 
 
-def draw_film(camera: int, path: Path) -> None:
-    """Draws and keeps a film."""
+def draw_film(camera: int, pictures: int, path: Path) -> None:
+    """Draws and keeps a film of so many pictures an episode."""
     task = make_task("lift")
     scene = task.scene("randomized")
     config = CollectConfig(demos=DEMOS, validation=0, n=1, m=0, seed=SEED,
@@ -68,7 +71,7 @@ def draw_film(camera: int, path: Path) -> None:
     kept: dict[str, list[np.ndarray]] = {name: [] for name in ("rgb", "q", "grip", "steps")}
     for number in rng.choice(DEMOS, EPISODES, replace=False):
         demo = demos.episodes[number]
-        steps = np.unique(np.linspace(0, demo.length - 1, PICTURES).round().astype(int))
+        steps = np.unique(np.linspace(0, demo.length - 1, pictures).round().astype(int))
         qpos = np.concatenate([blurred(demo, step) for step in steps])
         count = len(qpos)
         rgb = painter.rgb(View(
@@ -104,7 +107,7 @@ def arm(cameras: range, folder: Path) -> tuple[tuple[str, ...], np.ndarray]:
     """Errors of `calibrate arm` for some cameras: names of the columns, and a row for each."""
     robot, rows, errors = load_arm("panda"), [], []
     for camera in cameras:
-        film, pose, off = film_of(camera, folder)
+        film, pose, off = film_of(camera, ARM_PICTURES, folder)
         began = time.process_time()
         try:
             fit = fit_arm(robot, film)
@@ -148,7 +151,7 @@ def drift(cameras: range, folder: Path) -> None:
     robot = load_arm("panda")
     alarms, quiet, hits_of, silent = 0, 0, {"turn": [], "shift": []}, 0
     for camera in cameras:
-        film, pose, _ = film_of(camera, folder)
+        film, pose, _ = film_of(camera, DRIFT_PICTURES, folder)
         films = [film.some(film.episodes == e) for e in np.unique(film.episodes)]
         rng = np.random.default_rng(camera)
         first = [ask(robot, one, pose) for one in films]

@@ -72,7 +72,7 @@ class DriftConfig:
     """Where the state has the gripper's opening, such as observation.state[10]."""
     episodes: int = 200
     """Episodes that are looked at, evenly spaced."""
-    most: int = 8
+    most: int = 16
     """Pictures of each that are used."""
     cameras: str = "cameras.json"
     """File of calibrations that has the poses, unless the dataset says them."""

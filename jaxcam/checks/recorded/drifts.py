@@ -10,14 +10,13 @@ import numpy as np
 
 from jaxcam.checks.findings import bad, good, note
 from jaxcam.checks.recorded.judged import Judged, called, names
+from jaxcam.config.calibrate_arm import DriftConfig
 from jaxcam.data.recorded.recording import Recording
 from jaxcam.robot.calibration.arm.form import arm_for
 from jaxcam.robot.calibration.arm.joints import joint_numbers
 from jaxcam.robot.calibration.drift.form import ViewDrift, drift_of, episodes_standing
 
 WHAT = "standing still"
-PICTURES = 6
-"""Of each episode."""
 
 
 def unanswered(recording: Recording, judged: Sequence[Judged]) -> list[str]:
@@ -54,7 +53,8 @@ def check_drift(
     for view in views:
         some = [e for e in episodes_standing(recording, view) if e in set(episodes)]
         if some:
-            yield from _judge(recording, drift_of(recording, view, some, arm, columns, PICTURES))
+            most = DriftConfig.most
+            yield from _judge(recording, drift_of(recording, view, some, arm, columns, most))
 
 
 def _judge(recording: Recording, drift: ViewDrift) -> Iterator[Judged]:

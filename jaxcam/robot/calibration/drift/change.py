@@ -36,6 +36,8 @@ SHARED = (5.0, 5.0, 4.0)
 """Pixels, as above, with joints and clock as all episodes have them."""
 SUPPORT, NEAR = 0.3, 2.0
 """Share of the contour that must lie on edges within so many pixels."""
+LOST = 0.03, np.deg2rad(1.5)
+"""Changes (m, rad), beside what most ask for, from which on contours may lie on wrong edges."""
 
 
 @dataclass(frozen=True)
@@ -96,18 +98,25 @@ def ask(arm: ArmModel, film: Film, given: np.ndarray) -> AskedChange:
     return _asked(refiner, refined, given, film)
 
 
-def ask_again(arm: ArmModel, film: Film, asked: AskedChange, shared: Shared) -> AskedChange:
+def ask_again(
+    arm: ArmModel,
+    film: Film,
+    asked: AskedChange,
+    shared: Shared,
+    reaches: tuple[float, ...] = LAST,
+) -> AskedChange:
     """The same with the joints as most episodes have them.
 
     Args:
         arm: The robot.
         film: Of the episode.
-        asked: What was asked with the joints free.
+        asked: What was asked with the joints free; its change is where is looked.
         shared: The faults of joints and clock that all episodes share.
+        reaches: Pixels within which edges are looked for, round by round.
     """
     refiner = Refiner(arm, film)
     start = Solution(moved(asked.given, asked.change), shared.joints, shared.lag)
-    refined = refiner.refine(start, LAST, Prior(shared.joints, shared.lag, HELD, HELD_LAG))
+    refined = refiner.refine(start, reaches, Prior(shared.joints, shared.lag, HELD, HELD_LAG))
     return _asked(refiner, refined, asked.given, film)
 
 
@@ -146,10 +155,29 @@ def with_common_joints(
         [moved(a.given, a.change) for _, a in clear],
         SHARED,
     )
-    return [
+    asked = [
         ask_again(arm, film, a, shared) if a.clear else a
         for film, a in zip(films, first, strict=True)
     ]
+    most = np.median([a.change for a in asked if a.clear], 0)
+    return [
+        _found_again(arm, film, a, shared, most) if _is_lost(a, most) else a
+        for film, a in zip(films, asked, strict=True)
+    ]
+
+
+def _is_lost(asked: AskedChange, most: np.ndarray) -> bool:
+    away = asked.change - most
+    place, turn = np.linalg.norm(away[:3]), np.linalg.norm(away[3:])
+    return not asked.clear or bool(place > LOST[0] or turn > LOST[1])
+
+
+def _found_again(
+    arm: ArmModel, film: Film, asked: AskedChange, shared: Shared, most: np.ndarray
+) -> AskedChange:
+    """What was asked, or what is from where most stand: the one with more contour on edges."""
+    other = ask_again(arm, film, replace(asked, change=most), shared, (*REACHES, *LAST))
+    return max(asked, other, key=lambda a: a.support)
 
 
 def judged_changes(asked: Sequence[AskedChange]) -> list[Tested]:
