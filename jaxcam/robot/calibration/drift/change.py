@@ -17,6 +17,7 @@ from jaxcam.robot.calibration.drift.shared import Shared, shared_faults
 from jaxcam.robot.calibration.drift.still import (
     FLOOR,
     LIMIT,
+    astray,
     distances,
     doubt,
     mean,
@@ -98,13 +99,7 @@ def ask(arm: ArmModel, film: Film, given: np.ndarray) -> AskedChange:
     return _asked(refiner, refined, given, film)
 
 
-def ask_again(
-    arm: ArmModel,
-    film: Film,
-    asked: AskedChange,
-    shared: Shared,
-    reaches: tuple[float, ...] = LAST,
-) -> AskedChange:
+def ask_again(arm: ArmModel, film: Film, asked: AskedChange, shared: Shared) -> AskedChange:
     """The same with the joints as most episodes have them.
 
     Args:
@@ -112,11 +107,10 @@ def ask_again(
         film: Of the episode.
         asked: What was asked with the joints free; its change is where is looked.
         shared: The faults of joints and clock that all episodes share.
-        reaches: Pixels within which edges are looked for, round by round.
     """
     refiner = Refiner(arm, film)
     start = Solution(moved(asked.given, asked.change), shared.joints, shared.lag)
-    refined = refiner.refine(start, reaches, Prior(shared.joints, shared.lag, HELD, HELD_LAG))
+    refined = refiner.refine(start, LAST, Prior(shared.joints, shared.lag, HELD, HELD_LAG))
     return _asked(refiner, refined, asked.given, film)
 
 
@@ -176,7 +170,7 @@ def _found_again(
     arm: ArmModel, film: Film, asked: AskedChange, shared: Shared, most: np.ndarray
 ) -> AskedChange:
     """What was asked, or what is from where most stand: the one with more contour on edges."""
-    other = ask_again(arm, film, replace(asked, change=most), shared, (*REACHES, *LAST))
+    other = ask_again(arm, film, replace(asked, change=most), shared)
     return max(asked, other, key=lambda a: a.support)
 
 
@@ -191,6 +185,7 @@ def judged_changes(asked: Sequence[AskedChange]) -> list[Tested]:
         return []
     changes = np.stack([a.change for a in clear])
     spreads = np.stack([a.covariance for a in clear]) + FLOOR
+    spreads = spreads * astray(np.array([a.support for a in clear]))[:, None, None]
     spreads = spreads * doubt(changes, spreads)
     still = still_episodes(changes, spreads)
     rest = changes - mean(changes[still], spreads[still])[0]

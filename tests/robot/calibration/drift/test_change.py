@@ -65,6 +65,15 @@ def test_what_all_episodes_ask_for_is_no_motion():
     assert np.mean(alarms) <= 0.002
 
 
+def test_an_episode_with_little_of_its_contour_on_edges_must_be_further_away():
+    bump = np.r_[0.015, 0, 0, 0, 0, 0.008]
+    for support, moves in ((0.8, True), (0.45, False)):
+        rng = np.random.default_rng(1)
+        asked = [drawn(bump * (e == 4), e, rng, support=support if e == 4 else 0.8)
+                 for e in range(8)]  # fmt: skip
+        assert [t.moved for t in judged_changes(asked)] == [moves and e == 4 for e in range(8)]
+
+
 @pytest.mark.parametrize("first", [3, 7, 12])
 def test_moves_are_named_from_the_first_episode_on_and_back(first):
     rng = np.random.default_rng(first)
