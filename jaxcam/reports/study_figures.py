@@ -27,6 +27,7 @@ from jaxcam.reports.style import (
     RATE,
     beside,
     interval,
+    legend_below,
     percent,
     rates_and_differences,
     side_by_side,
@@ -249,8 +250,4 @@ def _legend(
     if papers and any(paper_value(arm) is not None for arm in arms):
         handles.append(Line2D([], [], marker="D", color="white", markeredgecolor=INK, linestyle="",
                               markersize=5, label="paper"))  # fmt: skip
-    for columns in range(len(handles), 0, -1):
-        legend = figure.legend(handles=handles, loc="outside lower center", ncols=columns)
-        if columns == 1 or legend.get_window_extent().width <= figure.bbox.width:
-            return
-        legend.remove()
+    legend_below(figure, {str(handle.get_label()): handle for handle in handles})

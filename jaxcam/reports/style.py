@@ -1,16 +1,18 @@
 """The look of all figures: one style, no pyplot, colours safe for colour blindness."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from jaxcam.files.whole import whole
+from jaxcam.reports.names import drawn
 
 BLUE, VERMILION, INK, GREY, FAINT = (
     "#0072B2", "#D55E00", "#22262B", "#7A828C", "#E3E6EA",
@@ -68,6 +70,21 @@ def side_by_side(
     """A figure of so many inches with its axes side by side."""
     figure = Figure(figsize=size, layout="constrained")
     return figure, list(figure.subplots(1, columns, squeeze=False, sharey=share_y)[0])
+
+
+def legend_below(figure: Figure, handles: Mapping[str, Artist]) -> None:
+    """A legend below the panels, in as many columns as the figure is wide.
+
+    Args:
+        figure: Where.
+        handles: What stands for each name.
+    """
+    for columns in range(len(handles), 0, -1):
+        legend = figure.legend([*handles.values()], [drawn(name) for name in handles],
+                               loc="outside lower center", ncols=columns)  # fmt: skip
+        if columns == 1 or legend.get_window_extent().width <= figure.bbox.width:
+            return
+        legend.remove()
 
 
 def small_print(axes: Axes, text: str) -> None:

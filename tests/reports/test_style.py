@@ -1,7 +1,12 @@
-"""Figures leave matplotlib as they found it."""
+"""Figures leave matplotlib as they found it, and their legends fit."""
 
 import subprocess
 import sys
+
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from jaxcam.reports.style import legend_below
 
 
 def test_figures_need_no_pyplot_and_change_no_settings():
@@ -14,3 +19,15 @@ def test_figures_need_no_pyplot_and_change_no_settings():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
     assert (done.returncode, done.stderr) == (0, b"")
+
+
+def test_a_legend_is_never_wider_than_its_figure():
+    """Six policies over fields of view had one that was cut off on both sides."""
+    figure = Figure(figsize=(4.8, 3.6), layout="constrained")
+    figure.subplots()
+    names = ("keypoints", "keypoints, extrinsics only", "late", "late, extrinsics only",
+             "twin of keypoints", "twin of late")  # fmt: skip
+    legend_below(figure, {name: Line2D([], []) for name in names})
+    (legend,) = figure.legends
+    assert legend.get_window_extent().width <= figure.bbox.width
+    assert [text.get_text() for text in legend.get_texts()] == [*names]

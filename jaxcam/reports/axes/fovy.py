@@ -17,7 +17,7 @@ from jaxcam.reports.arms import Arm, context
 from jaxcam.reports.document import Block, Heading, Picture, Table
 from jaxcam.reports.names import drawn
 from jaxcam.reports.study_figures import colour_of, panel_grid
-from jaxcam.reports.style import FAINT, percent, save, styled
+from jaxcam.reports.style import FAINT, legend_below, percent, save, styled
 from jaxcam.reports.tables import by_task
 from jaxcam.results.rows import Row
 from jaxcam.results.stats import Estimate, gap_between, success_rate
@@ -158,8 +158,7 @@ def over_fovy(panels: Sequence[Sequence[FovyCurve]]) -> Figure:
         for panel in panels
         for curve in panel
     }
-    figure.legend([*handles.values()], [drawn(name) for name in handles],
-                  loc="outside lower center", ncols=min(len(handles), 3))  # fmt: skip
+    legend_below(figure, handles)
     return figure
 
 

@@ -15,7 +15,7 @@ from jaxcam.reports.arms import Arm, ImageOnlyArms, context
 from jaxcam.reports.document import Block, Heading, Picture, Table
 from jaxcam.reports.names import drawn
 from jaxcam.reports.study_figures import colour_of, panel_grid
-from jaxcam.reports.style import GREY, INK, RATE, percent, save, styled
+from jaxcam.reports.style import GREY, INK, RATE, legend_below, percent, save, styled
 from jaxcam.reports.tables import NONE, by_task
 from jaxcam.results.halving import halving_error
 
@@ -172,8 +172,7 @@ def over_errors(curves: Sequence[ErrorCurve]) -> Figure:
     }
     if any(curve.image_only for curve in curves):
         handles["image only"] = Line2D([], [], color=GREY, linestyle=":")
-    figure.legend([*handles.values()], [drawn(name) for name in handles],
-                  loc="outside lower center", ncols=min(len(handles), 3))  # fmt: skip
+    legend_below(figure, handles)
     return figure
 
 
