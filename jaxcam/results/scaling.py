@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.optimize
-from scipy.special import expit
 
 from jaxcam.results.rows import Row
 from jaxcam.results.stats import LEVEL, by_pair
@@ -60,6 +59,7 @@ class ScalingLaw:
         error: Of cells that were left out, mean of the absolute difference (share of rollouts).
         by_chance: What the same is of a law that holds, by the number of pairs alone.
         pairs: That all cells share.
+        numbers: Logarithm of the floor, then of a and of b, each before its exponent, [5].
     """
 
     cells: np.ndarray
@@ -70,8 +70,7 @@ class ScalingLaw:
     error: float
     by_chance: float
     pairs: int
-    _numbers: np.ndarray
-    _scale: np.ndarray
+    numbers: np.ndarray
 
     def at(self, cameras: np.ndarray | float, demos: np.ndarray | float) -> np.ndarray:
         """Success by the law, of the numbers' common shape.
@@ -81,7 +80,7 @@ class ScalingLaw:
             demos: Numbers of demonstrations.
         """
         cells = np.stack(np.broadcast_arrays(cameras, demos), -1).astype(float)
-        return success(self._numbers, cells / self._scale)
+        return success(self.numbers, cells)
 
 
 def scaling_law(cells: Mapping[Cell, Sequence[Row]]) -> ScalingLaw | None:
@@ -127,11 +126,12 @@ def fit_scaling(cells: np.ndarray, outcomes: np.ndarray) -> ScalingLaw:
         float(success(_fitted(scaled[some], rates[some], _STARTS), scaled[i]))
         for i, some in enumerate(rest)
     ]
-    law = success(numbers, scaled)
+    numbers[[1, 3]] += numbers[[2, 4]] * np.log(scale)  # of what was counted, not of its share
+    law = success(numbers, cells)
     chance = np.sqrt(2 / np.pi * law * (1 - law) / pairs)  # mean of a normal number's size
     return ScalingLaw(
         cells, rates, floor, alpha, beta, float(abs(told - rates).mean()), float(chance.mean()),
-        pairs, numbers, scale,
+        pairs, numbers,
     )  # fmt: skip
 
 
@@ -139,28 +139,33 @@ def success(numbers: np.ndarray, cells: np.ndarray) -> np.ndarray:
     """Success by the law.
 
     Args:
-        numbers: Logarithm of the floor, then of a factor, and its exponent, for either number.
+        numbers: As `ScalingLaw` has them.
         cells: Numbers of cameras and demonstrations, [..., 2].
     """
-    return expit(-_failure(numbers, cells))
+    return 1 / (1 + np.exp(_parts(numbers, cells)).sum(0))
 
 
-def _failure(numbers: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """Logarithm of the odds of failure."""
-    parts = numbers[[1, 3]] - numbers[[2, 4]] * np.log(cells)
-    return np.logaddexp(numbers[0], np.logaddexp(parts[..., 0], parts[..., 1]))
+def _parts(numbers: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """Logarithms of what the odds of failure are the sum of, [3, ...]."""
+    falling = numbers[[1, 3]] - numbers[[2, 4]] * np.log(cells)
+    return np.stack([np.full(cells.shape[:-1], numbers[0]), falling[..., 0], falling[..., 1]])
 
 
 def _fitted(cells: np.ndarray, rates: np.ndarray, starts: np.ndarray) -> np.ndarray:
     """The numbers of the law that make the successes likeliest."""
     limits = [_ODDS, _ODDS, (0.0, _STEEPEST), _ODDS, (0.0, _STEEPEST)]
+    slopes = -np.log(cells).T
 
-    def unlikely(numbers: np.ndarray) -> float:
-        odds = _failure(numbers, cells)
-        return float((rates * np.logaddexp(0, odds) + (1 - rates) * np.logaddexp(0, -odds)).mean())
+    def unlikely(numbers: np.ndarray) -> tuple[float, np.ndarray]:
+        parts = np.exp(_parts(numbers, cells))
+        odds = parts.sum(0)
+        value = np.log1p(odds) - (1 - rates) * np.log(odds)
+        pulls = parts * (1 / (1 + odds) - (1 - rates) / odds)
+        gradient = np.concatenate([pulls, pulls[1:] * slopes])[[0, 1, 3, 2, 4]]
+        return float(value.mean()), gradient.mean(1)
 
     found = [
-        scipy.optimize.minimize(unlikely, start, method="L-BFGS-B", bounds=limits)
+        scipy.optimize.minimize(unlikely, start, method="L-BFGS-B", jac=True, bounds=limits)
         for start in starts
     ]
     return min(found, key=lambda one: one.fun).x
