@@ -10,9 +10,9 @@ from jaxcam.robot.calibration.projection import spread_of
 
 FLOOR = np.diag(np.square(np.repeat([0.0003, np.deg2rad(0.015)], 3)))
 """Covariance (m, rad) that a change has at least, however many episodes ask for it."""
-LIMIT = 40.0
-"""Squared distance, in standard deviations, beyond which a camera has moved. On films of twelve
-development cameras still ones had up to 28, and those that were moved by 1 cm 54 or more."""
+LIMIT = 45.0
+"""Squared distance, in standard deviations, beyond which a camera has moved. On films of twenty
+development cameras still ones had up to 32, and those that were moved by 1 cm 62 or more."""
 LEAST = 0.004, np.deg2rad(0.25)
 """Changes (m, rad) below both of which nothing is said."""
 UNSURE = 0.012, np.deg2rad(0.75)
@@ -29,6 +29,8 @@ EXPLAINED = 2.5
 """What most episodes may ask for together (centimetres or degrees) as the fault of joints."""
 NEXT_TO_NOTHING = 1 / 3
 """Share of what most ask for, up to which others ask for next to nothing."""
+USUAL_DOUBT, USUAL_PAIRS = 7.0, 4
+"""What `doubt` is in the median there, and as how many pairs of neighbours that counts."""
 TYPICAL = 5.35
 """Median of the squared length of six normal numbers."""
 
@@ -48,14 +50,19 @@ def astray(supports: np.ndarray) -> np.ndarray:
 def doubt(changes: np.ndarray, spreads: np.ndarray) -> float:
     """By how much covariances are too small: neighbours differ by chance, but where one moved.
 
+    Few neighbours tell it badly, so what is usual counts as `USUAL_PAIRS` more of them.
+
     Args:
         changes: What episodes ask for, in their order, [n, 6].
         spreads: Covariances, [n, 6, 6].
     """
-    if len(changes) < 4:
-        return 1.0
-    steps = distances(np.diff(changes, axis=0), spreads[1:] + spreads[:-1])
-    return max(1.0, float(np.median(steps)) / TYPICAL)
+    pairs, told = len(changes) - 1, 0.0
+    if pairs > 2:
+        steps = distances(np.diff(changes, axis=0), spreads[1:] + spreads[:-1])
+        told = pairs * np.log(max(1.0, float(np.median(steps)) / TYPICAL))
+    else:
+        pairs = 0
+    return float(np.exp((told + USUAL_PAIRS * np.log(USUAL_DOUBT)) / (pairs + USUAL_PAIRS)))
 
 
 def single_spread(spreads: np.ndarray) -> tuple[float, float]:

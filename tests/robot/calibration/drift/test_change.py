@@ -66,7 +66,7 @@ def test_what_all_episodes_ask_for_is_no_motion():
 
 
 def test_an_episode_with_little_of_its_contour_on_edges_must_be_further_away():
-    bump = np.r_[0.015, 0, 0, 0, 0, 0.008]
+    bump = np.r_[0.02, 0, 0, 0, 0, 0.01]
     for support, moves in ((0.8, True), (0.45, False)):
         rng = np.random.default_rng(1)
         asked = [drawn(bump * (e == 4), e, rng, support=support if e == 4 else 0.8)
@@ -93,7 +93,7 @@ def test_a_camera_that_creeps_is_not_given_one_pose_for_all_its_places():
     assert len(runs) > 1
     assert set(by_episode) >= set(range(15, 30))
     true = np.array([changes[e][0] for e in by_episode])
-    np.testing.assert_allclose(list(by_episode.values()), true, atol=0.015)
+    np.testing.assert_allclose(list(by_episode.values()), true, atol=0.018)
 
 
 def test_episodes_that_say_nothing_are_left_out():

@@ -82,3 +82,15 @@ def test_one_episode_and_two():
     assert still_episodes(np.zeros((1, 6)), told([0])).tolist() == [True]
     changes = np.stack([0 * BUMP, 5 * BUMP])
     assert still_episodes(changes, told(changes)).tolist() == [True, False]
+
+
+def test_few_neighbours_do_not_tell_how_much_is_chance():
+    """Seven differences said anything from 3 to 22 on films in which 7 was usual."""
+    rng = np.random.default_rng(0)
+    spread = np.diag([0.002**2] * 3 + [0.001**2] * 3)
+    for episodes, low, high in ((2, 7, 7), (8, 2.5, 13), (200, 3.5, 5.5)):
+        spreads = np.repeat(spread[None], episodes, 0)
+        doubts = [doubt(2 * rng.multivariate_normal(np.zeros(6), spread, episodes), spreads)
+                for _ in range(50)]  # fmt: skip
+        assert low * 0.999 <= min(doubts)
+        assert max(doubts) <= high * 1.001
