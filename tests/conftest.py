@@ -5,6 +5,7 @@ Fixtures import what they need: most tests need neither JAX nor a simulator.
 
 import atexit
 import gc
+import importlib
 import os
 import shutil
 import sys
@@ -132,3 +133,11 @@ def maniskill():
         if os.environ.get("JAXCAM_MANISKILL"):
             raise
         pytest.skip(str(error))
+
+
+@pytest.fixture(scope="session")
+def pytorch():
+    """For tests that need PyTorch, which comes with ManiSkill: `torch`; skipped like these."""
+    if os.environ.get("JAXCAM_MANISKILL"):
+        return importlib.import_module("torch")
+    return pytest.importorskip("torch", reason="PyTorch is not here; jaxcam[maniskill] has it")

@@ -1,10 +1,11 @@
 """Importing is cheap, and nothing reaches for the network or for packages of an extra."""
 
+import ast
 import subprocess
 import sys
 
 import pytest
-from places import REPO
+from places import REPO, TESTS
 
 OPTIONAL = {"torch", "sapien", "mani_skill", "submitit", "wandb", "transformers"}
 SIMULATORS = {"mujoco", "robosuite", "numba", "warp", "sapien", "mani_skill", "torch"}
@@ -121,3 +122,18 @@ def test_a_report_loads_no_simulator(tmp_path):
     )  # fmt: skip
     assert (tmp_path / "report" / "report.md").exists()
     assert not modules & SIMULATORS
+
+
+def test_tests_are_collected_without_what_python_3_13_lacks():
+    """Two that imported PyTorch ended the whole run where `jaxcam[maniskill]` brings nothing."""
+    lacking = {"torch", "sapien", "mani_skill"}
+    collected = [*TESTS.rglob("test_*.py"), *TESTS.rglob("conftest.py")]
+    imported = {
+        f"{file.relative_to(TESTS)}: {name}"
+        for file in collected
+        for node in ast.parse(file.read_text("utf-8")).body
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        for name in (a.name.partition(".")[0] for a in node.names)
+        if name in lacking or (getattr(node, "module", None) or "").partition(".")[0] in lacking
+    }
+    assert imported == set()

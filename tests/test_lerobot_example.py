@@ -4,7 +4,6 @@ import importlib.util
 
 import numpy as np
 import pytest
-import torch
 from places import REPO
 from policy_servers import socket_server
 
@@ -15,7 +14,7 @@ VIEWS = ["observation.images.view_0", "observation.images.view_1"]
 
 
 @pytest.fixture(scope="module")
-def example():
+def example(pytorch):
     """The script, as a module."""
     file = REPO / "examples/lerobot_policy/serve.py"
     spec = importlib.util.spec_from_file_location("lerobot_policy_serve", file)
@@ -45,10 +44,10 @@ def test_observations_become_lerobots_batches(example, steps):
     np.testing.assert_array_equal(batch["observation.state"][0], obs["observation.state"])
 
 
-def test_it_answers_and_goes_on_after_an_error(example):
+def test_it_answers_and_goes_on_after_an_error(example, pytorch):
     def infer(obs):
         batch = example.as_batch(obs, VIEWS)
-        return torch.ones(8, 7).mul(batch["observation.state"].sum()).numpy()
+        return pytorch.ones(8, 7).mul(batch["observation.state"].sum()).numpy()
 
     with socket_server(example.handler_of(infer, {"policy": "act"})) as url, Client(url) as client:
         assert client.metadata == {"policy": "act"}

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import torch
 from policy_servers import HANG_UP, policy_server
 from running import exit_code
 from served_runs import serving
@@ -42,21 +41,21 @@ def _short(monkeypatch):
     monkeypatch.setattr("jaxcam.evaluation.foreign.write_plots", lambda *args: None)
 
 
-class Torch:
-    """A network that nobody trained, in PyTorch: from the picture and where the camera is."""
-
-    def __init__(self):
-        torch.manual_seed(0)
-        self.layers = torch.nn.Sequential(
-            torch.nn.Conv2d(3, 4, 5, 4), torch.nn.Flatten(), torch.nn.LazyLinear(3 * 7)
-        )
+def network(torch):
+    """A policy that nobody trained, in PyTorch: from the picture and where the camera is."""
+    torch.manual_seed(0)
+    layers = torch.nn.Sequential(
+        torch.nn.Conv2d(3, 4, 5, 4), torch.nn.Flatten(), torch.nn.LazyLinear(3 * 7)
+    )
 
     @torch.no_grad()
-    def __call__(self, observation):
+    def act(observation):
         picture = torch.tensor(observation["observation.images.view_0"]).permute(2, 0, 1) / 255
         pose = torch.tensor(observation["camera.view_0.base_from_camera"])
-        actions = self.layers(picture[None]).reshape(3, 7) + pose[:3, 3].mean()
+        actions = layers(picture[None]).reshape(3, 7) + pose[:3, 3].mean()
         return 0.01 * actions.numpy()
+
+    return act
 
 
 def evaluated(policy, folder, **changes):
@@ -78,8 +77,10 @@ def without(rows, *names):
     return [{k: v for k, v in row.to_json().items() if k not in names} for row in rows]
 
 
-def test_a_server_in_pytorch_and_the_same_in_python_give_the_same_rows(tmp_path, monkeypatch):
-    policy = Torch()
+def test_a_server_in_pytorch_and_the_same_in_python_give_the_same_rows(
+    tmp_path, monkeypatch, pytorch
+):
+    policy = network(pytorch)
     with policy_server(policy, {"run": "theirs"}) as address:
         served = evaluated(address, tmp_path / "served")
     local = evaluated(function(monkeypatch, policy), tmp_path / "local", name="theirs")
@@ -131,7 +132,7 @@ def test_failures_are_told_with_their_causes_and_the_rest_counts(tmp_path, capsy
     assert "2 without actions" in shown
 
 
-def test_the_same_command_goes_on_and_a_server_that_is_gone_ends_it(tmp_path, monkeypatch):
+def test_the_same_command_goes_on_and_a_server_that_is_gone_ends_it(tmp_path, monkeypatch, pytorch):
     connections = []
 
     def failing(*args, **kwargs):
@@ -144,7 +145,7 @@ def test_the_same_command_goes_on_and_a_server_that_is_gone_ends_it(tmp_path, mo
         "jaxcam.evaluation.foreign.PolicyServer", partial(PolicyServer, patience=0.1)
     )
     how = {"pairs": 4, "width": 2, "name": "theirs"}
-    with policy_server(Torch(), {"run": "theirs"}) as address:
+    with policy_server(network(pytorch), {"run": "theirs"}) as address:
         connect = jaxcam.client.connect
         monkeypatch.setattr("jaxcam.client.connect", failing)
         with pytest.raises(NoServerError, match="the same command goes on"):
@@ -152,7 +153,7 @@ def test_the_same_command_goes_on_and_a_server_that_is_gone_ends_it(tmp_path, mo
         monkeypatch.setattr("jaxcam.client.connect", connect)
     first = read_run_rows(tmp_path / "theirs")
     assert [row.pair for row in first] == [0, 1]
-    with policy_server(Torch(), {"run": "theirs"}) as address:  # at another port
+    with policy_server(network(pytorch), {"run": "theirs"}) as address:  # at another port
         rows = evaluated(address, tmp_path / "theirs", **how)
     assert rows[:2] == first
     assert [row.pair for row in rows] == [0, 1, 2, 3]
