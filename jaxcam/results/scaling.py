@@ -19,7 +19,7 @@ import scipy.optimize
 from jaxcam.results.rows import Row
 from jaxcam.results.stats import LEVEL, by_pair
 
-Cell = tuple[float, float]
+Counts = tuple[float, float]
 """Numbers of cameras and of demonstrations."""
 LEAST_CELLS = 6
 """One more than the law has numbers."""
@@ -35,7 +35,7 @@ _STARTS = np.array(
 
 
 @dataclass(frozen=True)
-class Interval:
+class FittedNumber:
     """A number with its 95 % interval over pairs."""
 
     value: float
@@ -64,9 +64,9 @@ class ScalingLaw:
 
     cells: np.ndarray
     rates: np.ndarray
-    floor: Interval
-    alpha: Interval
-    beta: Interval
+    floor: FittedNumber
+    alpha: FittedNumber
+    beta: FittedNumber
     error: float
     by_chance: float
     pairs: int
@@ -80,10 +80,10 @@ class ScalingLaw:
             demos: Numbers of demonstrations.
         """
         cells = np.stack(np.broadcast_arrays(cameras, demos), -1).astype(float)
-        return success(self.numbers, cells)
+        return success_by_law(self.numbers, cells)
 
 
-def scaling_law(cells: Mapping[Cell, Sequence[Row]]) -> ScalingLaw | None:
+def scaling_law(cells: Mapping[Counts, Sequence[Row]]) -> ScalingLaw | None:
     """The law of some cells; None where there are too few, or no pair was tried in all of them.
 
     Args:
@@ -118,24 +118,22 @@ def fit_scaling(cells: np.ndarray, outcomes: np.ndarray) -> ScalingLaw:
     tail = (1 - LEVEL) / 2
     low, high = np.quantile(others, [tail, 1 - tail], axis=0)
     floor, alpha, beta = (
-        Interval(*(float(np.exp(x[i]) if i == 0 else x[i]) for x in (numbers, low, high)))
+        FittedNumber(*(float(np.exp(x[i]) if i == 0 else x[i]) for x in (numbers, low, high)))
         for i in (0, 2, 4)
     )
     rest = [np.arange(len(cells)) != i for i in range(len(cells))]
-    told = [
-        float(success(_fitted(scaled[some], rates[some], _STARTS), scaled[i]))
+    predicted = [
+        float(success_by_law(_fitted(scaled[some], rates[some], _STARTS), scaled[i]))
         for i, some in enumerate(rest)
     ]
     numbers[[1, 3]] += numbers[[2, 4]] * np.log(scale)  # of what was counted, not of its share
-    law = success(numbers, cells)
+    law = success_by_law(numbers, cells)
     chance = np.sqrt(2 / np.pi * law * (1 - law) / pairs)  # mean of a normal number's size
-    return ScalingLaw(
-        cells, rates, floor, alpha, beta, float(abs(told - rates).mean()), float(chance.mean()),
-        pairs, numbers,
-    )  # fmt: skip
+    error = float(abs(predicted - rates).mean())
+    return ScalingLaw(cells, rates, floor, alpha, beta, error, float(chance.mean()), pairs, numbers)
 
 
-def success(numbers: np.ndarray, cells: np.ndarray) -> np.ndarray:
+def success_by_law(numbers: np.ndarray, cells: np.ndarray) -> np.ndarray:
     """Success by the law.
 
     Args:
@@ -164,8 +162,8 @@ def _fitted(cells: np.ndarray, rates: np.ndarray, starts: np.ndarray) -> np.ndar
         gradient = np.concatenate([pulls, pulls[1:] * slopes])[[0, 1, 3, 2, 4]]
         return float(value.mean()), gradient.mean(1)
 
-    found = [
+    fits = [
         scipy.optimize.minimize(unlikely, start, method="L-BFGS-B", jac=True, bounds=limits)
         for start in starts
     ]
-    return min(found, key=lambda one: one.fun).x
+    return min(fits, key=lambda one: one.fun).x

@@ -16,14 +16,14 @@ from jaxcam.reports.names import drawn
 from jaxcam.reports.study_figures import panel_grid
 from jaxcam.reports.style import percent, save, styled
 from jaxcam.reports.tables import by_task
-from jaxcam.results.scaling import Cell, ScalingLaw, scaling_law
+from jaxcam.results.scaling import Counts, ScalingLaw, scaling_law
 
 
 @dataclass(frozen=True)
-class Surface:
+class ScalingSurface:
     """One policy, trained with several numbers of cameras and of demonstrations."""
 
-    arms: Mapping[Cell, Arm]
+    arms: Mapping[Counts, Arm]
     """By the numbers of cameras and of demonstrations, ascending."""
     law: ScalingLaw
 
@@ -33,24 +33,24 @@ class Surface:
         return next(iter(self.arms.values()))
 
 
-def surfaces(arms: Sequence[Arm]) -> list[Surface]:
+def surfaces(arms: Sequence[Arm]) -> list[ScalingSurface]:
     """Every policy of which enough cells are there, all cameras seen by every demonstration.
 
     Args:
         arms: All there are.
     """
-    groups: dict[str, dict[Cell, Arm]] = {}
+    groups: dict[str, dict[Counts, Arm]] = {}
     known = [a for a in arms if a.estimate.n and not a.is_told_wrong and a.settings.get("m") == 0]
     for some in by_task(known).values():
         for arm in some:
             at = float(arm.setting("n")), float(arm.setting("demos"))
             groups.setdefault(context(arm, "n", "demos"), {})[at] = arm
-    found = []
+    fitted = []
     for cells in groups.values():
         ordered = dict(sorted(cells.items()))
         if law := scaling_law({at: arm.rows for at, arm in ordered.items()}):
-            found.append(Surface(ordered, law))
-    return found
+            fitted.append(ScalingSurface(ordered, law))
+    return fitted
 
 
 def scaling_blocks(arms: Sequence[Arm], out: Path) -> list[Block]:
@@ -81,7 +81,7 @@ def scaling_blocks(arms: Sequence[Arm], out: Path) -> list[Block]:
             Table(words, head, [_line_of(surface) for surface in shown])]  # fmt: skip
 
 
-def _line_of(surface: Surface) -> list[str]:
+def _line_of(surface: ScalingSurface) -> list[str]:
     s, law = surface.some.settings, surface.law
     return [
         paper.policy_title(s["policy"]), paper.task_title(s["task"]), surface.some.way,
@@ -91,7 +91,7 @@ def _line_of(surface: Surface) -> list[str]:
 
 
 @styled
-def over_cameras(shown: Sequence[Surface]) -> Figure:
+def over_cameras(shown: Sequence[ScalingSurface]) -> Figure:
     """Success over the number of cameras, a panel for each policy.
 
     Args:
@@ -111,7 +111,7 @@ def over_cameras(shown: Sequence[Surface]) -> Figure:
     return figure
 
 
-def _draw(axes: Axes, surface: Surface, demos: float, colour: tuple[float, ...]) -> None:
+def _draw(axes: Axes, surface: ScalingSurface, demos: float, colour: tuple[float, ...]) -> None:
     arms = {n: arm for (n, count), arm in surface.arms.items() if count == demos}
     estimates = [arm.estimate for arm in arms.values()]
     low, high = [e.low for e in estimates], [e.high for e in estimates]

@@ -56,13 +56,13 @@ def doubt(changes: np.ndarray, spreads: np.ndarray) -> float:
         changes: What episodes ask for, in their order, [n, 6].
         spreads: Covariances, [n, 6, 6].
     """
-    pairs, told = len(changes) - 1, 0.0
+    pairs, measured = len(changes) - 1, 0.0
     if pairs > 2:
         steps = distances(np.diff(changes, axis=0), spreads[1:] + spreads[:-1])
-        told = pairs * np.log(max(1.0, float(np.median(steps)) / TYPICAL))
+        measured = pairs * np.log(max(1.0, float(np.median(steps)) / TYPICAL))
     else:
         pairs = 0
-    return float(np.exp((told + USUAL_PAIRS * np.log(USUAL_DOUBT)) / (pairs + USUAL_PAIRS)))
+    return float(np.exp((measured + USUAL_PAIRS * np.log(USUAL_DOUBT)) / (pairs + USUAL_PAIRS)))
 
 
 def single_spread(spreads: np.ndarray) -> tuple[float, float]:
