@@ -21,7 +21,7 @@ def drawn(rates, pairs, seed=0):
 
 
 def test_a_law_that_holds_is_found_and_predicts_what_was_left_out():
-    law = fit_scaling(CELLS, drawn(TRUE, 20_000))
+    law = fit_scaling(CELLS, drawn(TRUE, 5000))
     assert np.allclose(
         [law.floor.value, law.alpha.value, law.beta.value], [0.1, 0.9, 0.8], atol=0.1
     )
@@ -32,10 +32,10 @@ def test_a_law_that_holds_is_found_and_predicts_what_was_left_out():
 
 def test_the_error_of_few_pairs_is_about_what_chance_gives():
     rng = np.random.default_rng(0)
-    coins = [(rng.random((len(CELLS), 100)) < TRUE[:, None]).astype(float) for _ in range(4)]
+    coins = [(rng.random((len(CELLS), 100)) < TRUE[:, None]).astype(float) for _ in range(2)]
     laws = [fit_scaling(CELLS, some) for some in coins]
     assert 0.7 < np.mean([law.error / law.by_chance for law in laws]) < 2
-    assert np.mean([law.alpha.low <= 0.9 <= law.alpha.high for law in laws]) >= 0.75
+    assert all(law.alpha.low <= 0.9 <= law.alpha.high for law in laws)
 
 
 def test_cells_that_follow_no_such_law_are_predicted_badly():
