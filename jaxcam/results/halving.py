@@ -13,7 +13,7 @@ import numpy as np
 import scipy.optimize
 
 from jaxcam.results.rows import Row
-from jaxcam.results.stats import LEVEL, by_pair
+from jaxcam.results.stats import LEVEL, shared_outcomes
 
 _RESAMPLES = 2000
 
@@ -57,12 +57,7 @@ def halving_error(
     """
     ordered = sorted(curve, key=lambda one: one[0])
     levels = np.array([level for level, _ in ordered])
-    means = [
-        {pair: float(np.mean([bool(r.success) for r in some])) for pair, some in groups.items()}
-        for groups, _ in (by_pair(rows) for rows in (*(rows for _, rows in ordered), image_only))
-    ]
-    shared = [pair for pair in means[0] if all(pair in some for some in means)]
-    outcomes = np.array([[some[pair] for pair in shared] for some in means])
+    outcomes = shared_outcomes([*(rows for _, rows in ordered), image_only])
     return halving(levels, outcomes[:-1], outcomes[-1])
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import scipy.optimize
 
 from jaxcam.results.rows import Row
-from jaxcam.results.stats import LEVEL, by_pair
+from jaxcam.results.stats import LEVEL, shared_outcomes
 
 Counts = tuple[float, float]
 """Numbers of cameras and of demonstrations."""
@@ -91,15 +91,8 @@ def scaling_law(cells: Mapping[Counts, Sequence[Row]]) -> ScalingLaw | None:
     """
     if len(cells) < LEAST_CELLS or any(len({at[i] for at in cells}) < 2 for i in (0, 1)):
         return None
-    means = [
-        {pair: float(np.mean([bool(r.success) for r in some])) for pair, some in groups.items()}
-        for groups, _ in (by_pair(rows) for rows in cells.values())
-    ]
-    shared = [pair for pair in means[0] if all(pair in some for some in means)]
-    if not shared:
-        return None
-    outcomes = np.array([[some[pair] for pair in shared] for some in means])
-    return fit_scaling(np.array([*cells], float), outcomes)
+    outcomes = shared_outcomes(cells.values())
+    return fit_scaling(np.array([*cells], float), outcomes) if outcomes.size else None
 
 
 def fit_scaling(cells: np.ndarray, outcomes: np.ndarray) -> ScalingLaw:

@@ -245,6 +245,20 @@ def by_pair(rows: Iterable[Row]) -> tuple[dict[Hashable, list[Row]], int]:
     return groups, excluded
 
 
+def shared_outcomes(several: Iterable[Iterable[Row]]) -> np.ndarray:
+    """The mean outcome of each pair that all have rows of, in the order of the first, [K, N].
+
+    Args:
+        several: K times rows.
+    """
+    means = [
+        {pair: float(np.mean([bool(r.success) for r in some])) for pair, some in groups.items()}
+        for groups, _ in map(by_pair, several)
+    ]
+    shared = [pair for pair in means[0] if all(pair in some for some in means)]
+    return np.array([[some[pair] for pair in shared] for some in means])
+
+
 def by_seed(groups: PairOutcomes) -> dict[int | None, float]:
     """The success rate of each seed, in order.
 

@@ -129,7 +129,6 @@ ACT_PRESETS: dict[str, ActConfig] = {
     ),
 }
 # One network for all ways of conditioning: a transformer over 7 x 7 tokens of the small encoder.
-# Told where the hand is, it learns to stay there (docs/results.md).
 ACT_PRESETS["attention"] = replace(
     ACT_PRESETS["laptop"],
     conditioning="late",
@@ -137,7 +136,6 @@ ACT_PRESETS["attention"] = replace(
     pool="grid",
     fold=3,
     head="transformer",
-    drop_proprio=True,
     width=64,
     heads=4,
     hidden=128,

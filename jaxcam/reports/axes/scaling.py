@@ -40,10 +40,14 @@ def surfaces(arms: Sequence[Arm]) -> list[ScalingSurface]:
         arms: All there are.
     """
     groups: dict[str, dict[Counts, Arm]] = {}
-    known = [a for a in arms if a.estimate.n and not a.is_told_wrong and a.settings.get("m") == 0]
+    known = [
+        a for a in arms
+        if a.estimate.n and not a.is_told_wrong and a.settings.get("m") == 0
+        and a.settings.get("demos") and a.settings.get("n")
+    ]  # fmt: skip
     for some in by_task(known).values():
         for arm in some:
-            at = float(arm.setting("n")), float(arm.setting("demos"))
+            at = float(arm.settings["n"]), float(arm.settings["demos"])
             groups.setdefault(context(arm, "n", "demos"), {})[at] = arm
     fitted = []
     for cells in groups.values():

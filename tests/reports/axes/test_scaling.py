@@ -37,6 +37,13 @@ def test_the_report_has_the_law_and_its_error(runs, tmp_path):
     assert (tmp_path / "out" / picture.path).is_file()
 
 
+def test_rows_that_do_not_say_their_demonstrations_are_of_no_law(runs):
+    arms = arms_of(runs)
+    for arm in arms:
+        arm.settings.pop("demos", None)
+    assert surfaces(arms) == []
+
+
 def test_without_both_nothing_is_said(tmp_path):
     make_run(tmp_path / "late", conditioning="late", n=3, m=0)
     assert scaling_blocks(arms_of(tmp_path), tmp_path) == []

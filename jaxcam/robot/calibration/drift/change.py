@@ -153,7 +153,10 @@ def with_common_joints(
         ask_again(arm, film, a, shared) if a.clear else a
         for film, a in zip(films, first, strict=True)
     ]
-    most = np.median([a.change for a in asked if a.clear], 0)
+    changes = [a.change for a in asked if a.clear]
+    if not changes:
+        return asked
+    most = np.median(changes, 0)
     return [
         _found_again(arm, film, a, shared, most) if _is_lost(a, most) else a
         for film, a in zip(films, asked, strict=True)

@@ -65,6 +65,16 @@ def test_what_all_episodes_ask_for_is_no_motion():
     assert np.mean(alarms) <= 0.002
 
 
+def test_where_no_episode_is_clear_at_the_second_look_nothing_is_said():
+    shown = film([CAMERA] * 2)
+    films = [shown.some(shown.episodes == e) for e in range(2)]
+    away = np.r_[0.0, 0.0, -0.4, np.deg2rad([0.0, 25.0, 0.0])]
+    first = [replace(ask(boxed_arm(), one, CAMERA), change=away, support=0.4) for one in films]
+    again = with_common_joints(boxed_arm(), films, first)
+    assert not any(a.clear for a in again)
+    assert judged_changes(again) == []
+
+
 def test_an_episode_with_little_of_its_contour_on_edges_must_be_further_away():
     bump = np.r_[0.02, 0, 0, 0, 0, 0.01]
     for support, moves in ((0.8, True), (0.45, False)):
