@@ -32,6 +32,8 @@ class Preset:
     eval_every: int
     save_every: int
     action_space: ActionChoice = "eef_delta"
+    model: tuple[str, ...] = ()
+    """Changes to the network, which stand in a run's settings beside those that are asked."""
     steps_per_call: int = 10
     optimizer: OptimizerName = "adamw"
     beta1: float = 0.9
@@ -71,8 +73,10 @@ PRESETS: dict[tuple[PolicyName, PresetName], Preset] = {
         schedule="cosine", warmup=200, crop_min=0.8,
         log_every=50, eval_every=500, save_every=500,
     ),
+    # Given its joints it repeats where it is, and learns nothing else.
     ("act", "attention"): Preset(
         conditioning="late", action_space="eef_abs", precision="float32", resolution=84,
+        model=("drop_proprio=true",),
         steps=4000, batch=64, lr=1e-3, weight_decay=1e-4,
         schedule="cosine", warmup=200, crop_min=0.8,
         log_every=50, eval_every=500, save_every=500,

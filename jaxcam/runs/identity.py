@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxcam.config.conditions import OPTICS, of_task
-from jaxcam.config.fields import fill, from_json
+from jaxcam.config.fields import fill, from_json, overrides
 from jaxcam.config.presets import PRESETS, Preset, preset_of
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
@@ -60,6 +60,8 @@ _INTERVALS = ("steps", "log_every", "eval_every", "save_every")
 def resolve(config: TrainConfig, *, accelerator: bool) -> TrainConfig:
     """Give every setting that is left open its value; a resolved config comes back as it is.
 
+    The preset's own changes to the network are put before those that are asked, which win.
+
     Args:
         config: Settings, some of them perhaps None.
         accelerator: Whether there is a GPU or TPU.
@@ -75,8 +77,12 @@ def resolve(config: TrainConfig, *, accelerator: bool) -> TrainConfig:
     if None not in vars(config).values():
         return config
     name, preset = policy_preset(config, accelerator)
-    values = {k: v for k, v in vars(preset).items() if k not in ("warmup", "steps_per_call")}
-    config = fill(replace(config, preset=name), **values | _of_subject(config.task))
+    others = ("model", "warmup", "steps_per_call")
+    values = {k: v for k, v in vars(preset).items() if k not in others}
+    asked = overrides(config.model)
+    model = [change for change in preset.model if change.partition("=")[0] not in asked]
+    config = replace(config, preset=name, model=(*model, *config.model))
+    config = fill(config, **values | _of_subject(config.task))
     # XLA's CPU loops run convolutions many times slower.
     at_most = preset.steps_per_call if accelerator else 1
     config = fill(
@@ -145,8 +151,7 @@ def stored_config(folder: Path) -> TrainConfig:
         text = read_text(folder / "config.json")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{folder / 'config.json'} cannot be read: {error}.") from error
-    # Settings that are newer than the run: it was made with their preset's values.
-    return resolve(from_json(TrainConfig, text), accelerator=False)
+    return _of_run(text)
 
 
 def unlike(config: TrainConfig, side: Mapping[str, Any]) -> list[str]:
@@ -156,8 +161,17 @@ def unlike(config: TrainConfig, side: Mapping[str, Any]) -> list[str]:
         config: The run's.
         side: What the checkpoint holds beside its arrays.
     """
-    own = resolve(from_json(TrainConfig, json.dumps(side["config"])), accelerator=False)
+    own = _of_run(json.dumps(side["config"]))
     return [str(d) for d in differences(own, config) if d.changes_program]
+
+
+def _of_run(text: str) -> TrainConfig:
+    """Settings that a run wrote down; those newer than it have the values of its preset.
+
+    Its network is what it was: what a preset changes in it by now is not put into an old run.
+    """
+    config = from_json(TrainConfig, text)
+    return replace(resolve(config, accelerator=False), model=config.model)
 
 
 def default_folder(config: TrainConfig) -> str:

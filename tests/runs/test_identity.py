@@ -109,6 +109,23 @@ def test_single_tasks_have_values_of_their_own():
     assert changes(identity(lift) | {"engine": "native"}) == {}
 
 
+def test_a_preset_may_change_the_network_and_says_so_in_the_runs_settings(tmp_path):
+    """So that a run made before the preset changed is still rebuilt as it was."""
+
+    def attention(*model: str) -> TrainConfig:
+        return resolve(TrainConfig(preset="attention", model=model), accelerator=False)
+
+    own = PRESETS["act", "attention"].model
+    assert own == ("drop_proprio=true",)
+    assert attention().model == attention(*own).model == own
+    assert changes(identity(attention()) | {"engine": "native"}) == {}
+    assert attention("fold=3").model == (*own, "fold=3")
+    assert attention("drop_proprio=false").model == ("drop_proprio=false",)
+    before = dataclasses.replace(attention(), model=(), beta2=None)  # nor had it this setting
+    (tmp_path / "config.json").write_text(to_json(before))
+    assert read_config(tmp_path) == dataclasses.replace(attention(), model=())
+
+
 def test_given_values_win_over_the_preset():
     config = resolve(TrainConfig(lr=0.5, conditioning="none", run_dir="x"), accelerator=False)
     assert (config.lr, config.conditioning, config.run_dir) == (0.5, "none", "x")
