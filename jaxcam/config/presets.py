@@ -34,6 +34,8 @@ class Preset:
     action_space: ActionChoice = "eef_delta"
     model: tuple[str, ...] = ()
     """Changes to the network, which stand in a run's settings beside those that are asked."""
+    before: tuple[str, ...] = ()
+    """The same of runs that do not say them, since they are older than these changes."""
     steps_per_call: int = 10
     optimizer: OptimizerName = "adamw"
     beta1: float = 0.9
@@ -76,7 +78,7 @@ PRESETS: dict[tuple[PolicyName, PresetName], Preset] = {
     # Given its joints it repeats where it is, and learns nothing else.
     ("act", "attention"): Preset(
         conditioning="late", action_space="eef_abs", precision="float32", resolution=84,
-        model=("drop_proprio=true",),
+        model=("drop_proprio=true",), before=("drop_proprio=false",),
         steps=4000, batch=64, lr=1e-3, weight_decay=1e-4,
         schedule="cosine", warmup=200, crop_min=0.8,
         log_every=50, eval_every=500, save_every=500,

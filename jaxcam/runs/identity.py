@@ -77,11 +77,9 @@ def resolve(config: TrainConfig, *, accelerator: bool) -> TrainConfig:
     if None not in vars(config).values():
         return config
     name, preset = policy_preset(config, accelerator)
-    others = ("model", "warmup", "steps_per_call")
+    others = ("model", "before", "warmup", "steps_per_call")
     values = {k: v for k, v in vars(preset).items() if k not in others}
-    asked = overrides(config.model)
-    model = [change for change in preset.model if change.partition("=")[0] not in asked]
-    config = replace(config, preset=name, model=(*model, *config.model))
+    config = replace(config, preset=name, model=_completed(config.model, preset.model))
     config = fill(config, **values | _of_subject(config.task))
     # XLA's CPU loops run convolutions many times slower.
     at_most = preset.steps_per_call if accelerator else 1
@@ -91,6 +89,12 @@ def resolve(config: TrainConfig, *, accelerator: bool) -> TrainConfig:
         steps_per_call=math.gcd(at_most, *(getattr(config, k) for k in _INTERVALS)),
     )
     return fill(config, run_dir=default_folder(config))
+
+
+def _completed(model: tuple[str, ...], own: tuple[str, ...]) -> tuple[str, ...]:
+    """Changes to a network, after those of a preset that they say nothing of."""
+    asked = overrides(model)
+    return (*(change for change in own if not asked.keys() & overrides([change])), *model)
 
 
 def _of_subject(task: str) -> Settings:
@@ -168,10 +172,12 @@ def unlike(config: TrainConfig, side: Mapping[str, Any]) -> list[str]:
 def _of_run(text: str) -> TrainConfig:
     """Settings that a run wrote down; those newer than it have the values of its preset.
 
-    Its network is what it was: what a preset changes in it by now is not put into an old run.
+    Its network is what it was, also where its preset changes more by now.
     """
     config = from_json(TrainConfig, text)
-    return replace(resolve(config, accelerator=False), model=config.model)
+    if (preset := PRESETS.get((config.policy, config.preset))) is not None:
+        config = replace(config, model=_completed(config.model, preset.before))
+    return resolve(config, accelerator=False)
 
 
 def default_folder(config: TrainConfig) -> str:
@@ -360,4 +366,8 @@ def differences(old: TrainConfig, new: TrainConfig) -> list[Difference]:
     if new.task == RECORDED and new.action_space != "native":
         free -= {"action_is"}  # it says what they became that space from
     pairs = ((f.name, getattr(old, f.name), getattr(new, f.name)) for f in fields(old))
-    return [Difference(name, a, b, name not in free) for name, a, b in pairs if a != b]
+    return [
+        Difference(name, a, b, name not in free)
+        for name, a, b in pairs
+        if a != b and not (name == "model" and overrides(a) == overrides(b))
+    ]

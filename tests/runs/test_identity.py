@@ -9,6 +9,7 @@ from jaxcam.config.fields import to_json
 from jaxcam.config.presets import PRESETS
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
+from jaxcam.reports.run_page import reproduce_command
 from jaxcam.runs.identity import (
     FREE_TO_CHANGE,
     changes,
@@ -123,7 +124,13 @@ def test_a_preset_may_change_the_network_and_says_so_in_the_runs_settings(tmp_pa
     assert attention("drop_proprio=false").model == ("drop_proprio=false",)
     before = dataclasses.replace(attention(), model=(), beta2=None)  # nor had it this setting
     (tmp_path / "config.json").write_text(to_json(before))
-    assert read_config(tmp_path) == dataclasses.replace(attention(), model=())
+    read = read_config(tmp_path)
+    assert read == dataclasses.replace(attention(), model=("drop_proprio=false",))
+    assert changes(identity(read) | {"engine": "native"}) == {"model": ["drop_proprio=false"]}
+    same = attention("drop_proprio=False")
+    assert [d for d in differences(read, same) if d.changes_program] == []
+    assert "--model drop_proprio=false" in reproduce_command(read)
+    assert [d.field for d in differences(read, attention())] == ["model"]
 
 
 def test_given_values_win_over_the_preset():
