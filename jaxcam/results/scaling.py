@@ -23,6 +23,11 @@ Counts = tuple[float, float]
 """Numbers of cameras and of demonstrations."""
 LEAST_CELLS = 6
 """One more than the law has numbers."""
+LEAST_PAIRS = 20
+"""Below which shares say too little."""
+MATTERS = 5.99
+"""Twice the logarithm of likelihoods from which on a number matters: 95 % of a chi-squared one of
+two degrees of freedom, its factor and its exponent."""
 _RESAMPLES = 200
 _STEEPEST = 4.0
 """Exponents are at most this."""
@@ -54,8 +59,8 @@ class ScalingLaw:
         cells: Numbers of cameras and demonstrations, [C, 2].
         rates: Success of each, [C].
         floor: Odds of failure that neither number lowers.
-        alpha: Exponent of the cameras.
-        beta: Exponent of the demonstrations.
+        alpha: Exponent of the cameras; None where they are not seen to matter, and have no part.
+        beta: Exponent of the demonstrations, likewise.
         error: Of cells that were left out, mean of the absolute difference (share of rollouts).
         by_chance: What the same is of a law that holds, by the number of pairs alone.
         pairs: That all cells share.
@@ -65,8 +70,8 @@ class ScalingLaw:
     cells: np.ndarray
     rates: np.ndarray
     floor: FittedNumber
-    alpha: FittedNumber
-    beta: FittedNumber
+    alpha: FittedNumber | None
+    beta: FittedNumber | None
     error: float
     by_chance: float
     pairs: int
@@ -84,15 +89,22 @@ class ScalingLaw:
 
 
 def scaling_law(cells: Mapping[Counts, Sequence[Row]]) -> ScalingLaw | None:
-    """The law of some cells; None where there are too few, or no pair was tried in all of them.
+    """The law of some cells, or None.
+
+    It takes `LEAST_CELLS` cells, some of which differ in their cameras alone and some in their
+    demonstrations alone, `LEAST_PAIRS` pairs that were tried in all of them, and a success and a
+    failure among these.
 
     Args:
         cells: Rows by the numbers of cameras and of demonstrations.
     """
-    if len(cells) < LEAST_CELLS or any(len({at[i] for at in cells}) < 2 for i in (0, 1)):
+    alone = [len({at[i] for at in cells}) < len(cells) for i in (0, 1)]
+    if len(cells) < LEAST_CELLS or not all(alone):
         return None
     outcomes = shared_outcomes(cells.values())
-    return fit_scaling(np.array([*cells], float), outcomes) if outcomes.size else None
+    if outcomes.shape[-1] < LEAST_PAIRS or outcomes.max() == 0 or outcomes.min() == 1:
+        return None
+    return fit_scaling(np.array([*cells], float), outcomes)
 
 
 def fit_scaling(cells: np.ndarray, outcomes: np.ndarray) -> ScalingLaw:
@@ -104,19 +116,22 @@ def fit_scaling(cells: np.ndarray, outcomes: np.ndarray) -> ScalingLaw:
     """
     scale = np.exp(np.log(cells).mean(0))  # powers of what is near 1 can be told from their factors
     scaled, rates, pairs = cells / scale, outcomes.mean(1), outcomes.shape[1]
-    numbers = _fitted(scaled, rates, _STARTS)
+    without = _without(scaled, rates, pairs * len(cells))
+    numbers = _fitted(scaled, rates, _STARTS, without)[0]
     weights = np.random.default_rng(0).multinomial(pairs, np.full(pairs, 1 / pairs), _RESAMPLES)
     drawn = weights / pairs @ outcomes.T
-    others = np.array([_fitted(scaled, some, numbers[None]) for some in drawn])
+    others = np.array([_fitted(scaled, some, numbers[None], without)[0] for some in drawn])
     tail = (1 - LEVEL) / 2
     low, high = np.quantile(others, [tail, 1 - tail], axis=0)
-    floor, alpha, beta = (
-        FittedNumber(*(float(np.exp(x[i]) if i == 0 else x[i]) for x in (numbers, low, high)))
-        for i in (0, 2, 4)
-    )
+    floor = FittedNumber(*(float(np.exp(x[0])) for x in (numbers, low, high)))
+    alpha, beta = (
+        None if axis in without else FittedNumber(
+            *(float(x[2 + 2 * axis]) for x in (numbers, low, high)))
+        for axis in (0, 1)
+    )  # fmt: skip
     rest = [np.arange(len(cells)) != i for i in range(len(cells))]
     predicted = [
-        float(success_by_law(_fitted(scaled[some], rates[some], _STARTS), scaled[i]))
+        float(success_by_law(_fitted(scaled[some], rates[some], _STARTS, without)[0], scaled[i]))
         for i, some in enumerate(rest)
     ]
     numbers[[1, 3]] += numbers[[2, 4]] * np.log(scale)  # of what was counted, not of its share
@@ -142,9 +157,27 @@ def _parts(numbers: np.ndarray, cells: np.ndarray) -> np.ndarray:
     return np.stack([np.full(cells.shape[:-1], numbers[0]), falling[..., 0], falling[..., 1]])
 
 
-def _fitted(cells: np.ndarray, rates: np.ndarray, starts: np.ndarray) -> np.ndarray:
-    """The numbers of the law that make the successes likeliest."""
+def _without(cells: np.ndarray, rates: np.ndarray, rollouts: int) -> tuple[int, ...]:
+    """Which of cameras (0) and demonstrations (1) are not seen to matter."""
+    whole = _fitted(cells, rates, _STARTS)[1]
+    lost = [_fitted(cells, rates, _STARTS, (axis,))[1] - whole for axis in (0, 1)]
+    alike = tuple(axis for axis in (0, 1) if 2 * rollouts * lost[axis] < MATTERS)
+    if len(alike) == 2:  # what either of them says may be what neither says alone
+        nothing = _fitted(cells, rates, _STARTS, alike)[1] - whole
+        return alike if 2 * rollouts * nothing < MATTERS else ()
+    return alike
+
+
+def _fitted(
+    cells: np.ndarray, rates: np.ndarray, starts: np.ndarray, without: tuple[int, ...] = ()
+) -> tuple[np.ndarray, float]:
+    """The numbers of the law that make the successes likeliest, and how unlikely these are.
+
+    Parts of the law that it is fitted `without` are next to nothing.
+    """
     limits = [_ODDS, _ODDS, (0.0, _STEEPEST), _ODDS, (0.0, _STEEPEST)]
+    for axis in without:
+        limits[1 + 2 * axis : 3 + 2 * axis] = [(_ODDS[0], _ODDS[0]), (0.0, 0.0)]
     slopes = -np.log(cells).T
 
     def unlikely(numbers: np.ndarray) -> tuple[float, np.ndarray]:
@@ -159,4 +192,5 @@ def _fitted(cells: np.ndarray, rates: np.ndarray, starts: np.ndarray) -> np.ndar
         scipy.optimize.minimize(unlikely, start, method="L-BFGS-B", jac=True, bounds=limits)
         for start in starts
     ]
-    return min(fits, key=lambda one: one.fun).x
+    best = min(fits, key=lambda one: one.fun)
+    return best.x, float(best.fun)

@@ -45,10 +45,35 @@ def test_cells_that_follow_no_such_law_are_predicted_badly():
     assert law.error > 4 * law.by_chance
 
 
-def test_more_cameras_that_do_not_help_have_an_exponent_or_a_factor_of_nothing():
+def test_more_cameras_that_do_not_help_have_no_exponent():
     flat = 1 / (1 + 40 * CELLS[:, 1] ** -0.8)
     law = fit_scaling(CELLS, drawn(flat, 5000))
+    assert law.alpha is None
+    assert law.beta.value == pytest.approx(0.8, abs=0.1)
     assert np.allclose(law.at(CELLS[:, 0], 100.0), 1 / (1 + 40 * 100**-0.8), atol=0.02)
+
+
+@pytest.mark.parametrize("rate", [0.1, 0.5, 0.9])
+def test_where_neither_matters_all_that_fails_stays(rate):
+    law = fit_scaling(CELLS, drawn(np.full(len(CELLS), rate), 50))
+    assert law.alpha is None
+    assert law.beta is None
+    assert law.floor.value == pytest.approx((1 - rate) / rate, rel=0.01)
+    assert law.floor.low < law.floor.value < law.floor.high
+    assert np.allclose(law.at(*CELLS.T), rate, atol=0.01)
+
+
+def test_no_law_of_cells_that_cannot_tell_one():
+    def rows(outcomes):
+        return {tuple(cell): evaluation(some) for cell, some in zip(CELLS, outcomes, strict=True)}
+
+    coins = np.random.default_rng(0).random((len(CELLS), 50)) < 0.5
+    assert scaling_law(rows(coins)) is not None
+    assert scaling_law(rows(coins[:, :10])) is None  # few pairs
+    assert scaling_law(rows(coins & False)) is None
+    assert scaling_law(rows(coins | True)) is None
+    rising = {(n, 10 * n): evaluation(some) for n, some in zip(range(1, 9), coins, strict=False)}
+    assert scaling_law(rising) is None  # which of the two it is, nobody can say
 
 
 def test_rows_are_put_together_by_their_pairs():

@@ -68,8 +68,13 @@ class FovyCurve:
             count = max(1, round((high - low) / _WIDEST_BIN))
             edges += np.linspace(low, high, count + 1).tolist()[:-1]
         edges.append(ends[-1])
-        pairs = list(itertools.pairwise(edges))
-        some = [((a + b) / 2, self.within(a, b)) for a, b in pairs]
+        # What is on an edge is above it, but on the training's upper end, which is inside.
+        cuts = [np.nextafter(x, np.inf) if x == self.trained[1] else x for x in edges]
+        numbers = np.searchsorted(cuts, known, side="right").clip(1, len(edges) - 1) - 1
+        some = [
+            ((a + b) / 2, success_rate(self.rows[i] for i in np.flatnonzero(numbers == number)))
+            for number, (a, b) in enumerate(itertools.pairwise(edges))
+        ]
         return [(middle, estimate) for middle, estimate in some if estimate.n]
 
     def outside(self) -> Estimate:

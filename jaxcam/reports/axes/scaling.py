@@ -79,7 +79,8 @@ def scaling_blocks(arms: Sequence[Arm], out: Path) -> list[Block]:
         "Odds of failure = floor + a · cameras^-alpha + b · demonstrations^-beta, fitted to the "
         "successes, with 95 % intervals from a bootstrap over pairs. The error (points, mean of "
         "absolute differences) is of cells that were predicted from the others; beside it, what a "
-        "law that holds would have by the number of pairs."
+        "law that holds would have by the number of pairs. A dash: the successes do not tell that "
+        "this number matters, and the law does without it."
     )
     return [Heading("Cameras and demonstrations"), Picture("figures/scaling.png", caption),
             Table(words, head, [_line_of(surface) for surface in shown])]  # fmt: skip
@@ -89,7 +90,8 @@ def _line_of(surface: ScalingSurface) -> list[str]:
     s, law = surface.some.settings, surface.law
     return [
         paper.policy_title(s["policy"]), paper.task_title(s["task"]), surface.some.way,
-        surface.some.label("n", "demos"), str(law.alpha), str(law.beta), str(law.floor),
+        surface.some.label("n", "demos"), str(law.alpha or "–"), str(law.beta or "–"),
+        str(law.floor),
         f"{100 * law.error:.1f}", f"{100 * law.by_chance:.1f}", f"{len(law.cells)}, {law.pairs}",
     ]  # fmt: skip
 
