@@ -214,8 +214,8 @@ def main(config: SweepConfig, console: Console) -> int:
     grid = read_grid(config.grid)
     if config.list:
         for entry in map(_entry, grid.runs):
-            console.print(f"# {entry.run.name}: {entry.state} {_result(entry)}".rstrip(),
-                          soft_wrap=True, highlight=False)  # fmt: skip
+            words = f"# {entry.run.name}: {entry.state} {_result(entry)} {entry.reason}"
+            console.print(words.rstrip(), soft_wrap=True, highlight=False)
             for command in entry.run.commands():
                 words = shlex.join(["python", *command[1:]])
                 console.print(words, soft_wrap=True, highlight=False)

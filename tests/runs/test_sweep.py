@@ -13,6 +13,7 @@ import pytest
 from rich.console import Console
 from small_grid import SMALL, needs_submitit
 
+from jaxcam.config.commands import SweepConfig
 from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.files.jsonl import append_jsonl, read_jsonl
 from jaxcam.files.locks import NamedLock
@@ -183,3 +184,14 @@ def test_list_prints_commands_and_starts_nothing(tmp_path):
     assert done.stdout.count("python -m jaxcam.train --preset laptop --steps 40") == 4
     assert done.stdout.count(": waiting") == 4
     assert not (tmp_path / "runs").exists()
+
+
+def test_list_says_why_a_run_cannot_go_on(write):
+    path = write()
+    folder = read_grid(path).runs[0].folder
+    folder.mkdir(parents=True)
+    (folder / "config.json").write_text("{")
+    console = Console(file=io.StringIO(), width=500)
+    assert sweep.main(SweepConfig(str(path), list=True), console) == 0
+    (line,) = [x for x in console.file.getvalue().splitlines() if ": failed" in x]
+    assert "is not JSON" in line
