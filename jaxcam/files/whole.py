@@ -13,6 +13,7 @@ import logging
 import os
 import re
 import shutil
+import tempfile
 import uuid
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -86,7 +87,7 @@ def write_together(texts: Mapping[Path, str]) -> None:
 def check_free(
     path: Path, inputs: Iterator[Path] | tuple[Path, ...] = (), flag: str = "--out"
 ) -> None:
-    """Refuse a place for a page that has something else: an input, or what we did not write.
+    """Refuse a place for a page that cannot be written, or has an input or what we did not write.
 
     Args:
         path: Where the page is to go.
@@ -100,6 +101,7 @@ def check_free(
         if path.exists() and given.exists() and path.samefile(given):
             raise ConfigError(f"{path} is read here, so it is not written. Choose another {flag}.")
     if not path.exists():
+        _check_writable(path, flag)
         return
     if not path.is_file():
         raise ConfigError(f"{path} is there, and is no file. Choose another {flag}.")
@@ -107,6 +109,20 @@ def check_free(
         raise ConfigError(
             f"{path} is there, and jaxcam did not write it. Choose another {flag}, or move it away."
         )
+    _check_writable(path, flag)
+
+
+def _check_writable(path: Path, flag: str) -> None:
+    """Tries to write beside a place, or in the first folder above it that is there."""
+    folder = next(above for above in path.absolute().parents if above.exists())
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        reason = os.strerror(error.errno) if error.errno else str(error)
+        raise ConfigError(
+            f"{path} cannot be written: {folder}: {reason}. Choose another {flag}."
+        ) from error
 
 
 def _take_place(part: Path, path: Path) -> None:

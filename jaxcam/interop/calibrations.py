@@ -103,6 +103,27 @@ def sources(recording: Recording) -> list[str]:
     return lines
 
 
+def pose_before(recording: Recording, view: str, path: Path) -> str:
+    """Who says a view's pose before a file of calibrations is asked; empty where nobody does.
+
+    Args:
+        recording: As `calibrated` leaves it, with the file or without.
+        view: The camera's name.
+        path: Of the file.
+    """
+    sights = [e.sights[view] for e in recording.episodes if view in e.sights]
+    if any(s.calibration is not None and not s.calibration.source for s in sights):
+        return f"the dataset's columns camera.{view}.*"
+    own = recording.path / NOTES
+    notes = read_notes(own) if own.is_file() else None
+    if notes is None or (path.exists() and own.samefile(path)):
+        return ""
+    entries = [
+        of.get(view) or of.get(IMAGES + view) for of in (notes.views, *notes.episodes.values())
+    ]
+    return str(own) if any(entry and entry.pose for entry in entries) else ""
+
+
 def require_calibrated(
     recording: Recording, conditioning: Conditioning, action_frame: ActionFrame = "base"
 ) -> None:

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import textwrap
+from pathlib import Path
 
 import pytest
 
@@ -100,6 +101,15 @@ def test_a_device_is_not_replaced(tmp_path):
         with pytest.raises(ConfigError, match="is no file"):
             check_free(path)
     assert (tmp_path / "fifo").is_fifo()
+
+
+def test_a_place_that_cannot_be_written_is_told_before_the_work(tmp_path):
+    (tmp_path / "file").write_text("")
+    for path in (tmp_path / "file/page.html", Path("/proc/page.html")):
+        with pytest.raises(ConfigError, match="cannot be written"):
+            check_free(path)
+    check_free(tmp_path / "new/folder/page.html")
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
 
 def test_a_page_goes_where_nothing_is_or_where_one_of_ours_is(tmp_path):

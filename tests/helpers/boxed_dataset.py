@@ -18,9 +18,9 @@ VIEW = {
 
 
 def write_boxed(root, monkeypatch, cameras, pose=None):
-    """Three episodes of LENGTH steps in root/data, with cameras.json and arm.xml beside it."""
+    """An episode of LENGTH steps for each camera in root/data, beside cameras.json and arm.xml."""
     shown = film(cameras, count=LENGTH)
-    for name, value in (("LENGTHS", (LENGTH,) * 3), ("HEIGHT", SIDE), ("WIDTH", SIDE)):
+    for name, value in (("LENGTHS", (LENGTH,) * len(cameras)), ("HEIGHT", SIDE), ("WIDTH", SIDE)):
         monkeypatch.setattr(lerobot_datasets, name, value)
     monkeypatch.setattr(lerobot_datasets, "picture", lambda e, t, v: shown.rgb[LENGTH * e + t])
     lerobot_datasets.write_folder(root / "data", dtype="image", keys=("observation.images.front",))

@@ -14,7 +14,7 @@ from jaxcam.config.calibrate_arm import DriftConfig
 from jaxcam.data.recorded.recording import Recording
 from jaxcam.robot.calibration.arm.form import arm_for
 from jaxcam.robot.calibration.arm.joints import joint_numbers
-from jaxcam.robot.calibration.drift.form import ViewDrift, drift_of, episodes_standing
+from jaxcam.robot.calibration.drift.view import ViewDrift, drift_of, episodes_standing
 
 WHAT = "standing still"
 
@@ -80,6 +80,9 @@ def _judge(recording: Recording, drift: ViewDrift) -> Iterator[Judged]:
     if not drift.episodes:
         got = "not known by the arm, either: too little of its contour lies on edges"
         yield Judged(note(WHAT, got=got, where=where))
+    elif drift.alone:
+        got = "not known: one episode alone says something, and there is none to hold it against"
+        yield Judged(note(WHAT, got=got, where=where))
     elif drift.unsure:
         place, turn = drift.spread
         got = f"not known: an episode tells it to {1000 * place:.0f} mm, {np.rad2deg(turn):.1f}°"
@@ -87,3 +90,17 @@ def _judge(recording: Recording, drift: ViewDrift) -> Iterator[Judged]:
     elif not drift.runs:
         got = f"by the arm, in {len(drift.episodes)} episodes"
         yield Judged(good(WHAT, got=got, where=where))
+    if drift.pose_off:
+        place, turn = drift.together
+        yield Judged(
+            bad(
+                "its pose",
+                got=f"by the arm, {1000 * place:.0f} mm and {np.rad2deg(turn):.1f}° off in all "
+                f"{len(drift.episodes)} episodes",
+                expected="the arm's contours where its pose has them, but for faults of the joints",
+                where=where,
+                fix="python -m jaxcam.calibrate arm finds the pose anew.",
+            ),
+            tuple(one.asked.episode for one in drift.episodes),
+            drift.view,
+        )

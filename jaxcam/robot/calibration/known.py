@@ -4,7 +4,7 @@ from pathlib import Path
 
 from jaxcam.data.recorded.recording import Recording
 from jaxcam.errors import ConfigError, closest
-from jaxcam.interop.calibrations import IMAGES
+from jaxcam.interop.calibrations import IMAGES, pose_before
 from jaxcam.interop.cameras.files import CamerasFile, read_cameras
 from jaxcam.interop.cameras.optics import Optics
 
@@ -21,6 +21,26 @@ def require_view(view: str, recording: Recording) -> None:
     """
     if view not in recording.views:
         raise ConfigError(f"--view: unknown {view!r}{closest(view, recording.views)}")
+
+
+def not_used_note(recording: Recording, view: str, cameras: Path) -> str:
+    """That a pose in a file of calibrations is not the one that counts; empty where it is.
+
+    Args:
+        recording: The dataset.
+        view: The camera's name.
+        cameras: The file.
+    """
+    other = pose_before(recording, view, cameras)
+    if not other:
+        return ""
+    remedy = (
+        f"give --cameras {other}" if other.endswith(".json") else "take them out of the dataset"
+    )
+    return (
+        f"The pose of view {view} is not read from {cameras}: {other} comes first "
+        f"(docs/calibrated-datasets.md). To have this one used, {remedy}."
+    )
 
 
 def optics_of_view(cameras: Path, view: str, size: tuple[int, int]) -> Optics:

@@ -8,6 +8,7 @@ from tempfile import TemporaryDirectory
 import cv2
 import numpy as np
 from matplotlib.figure import Figure
+from rich.console import Console
 
 from jaxcam.errors import ConfigError
 from jaxcam.files.paths import absolute
@@ -63,6 +64,22 @@ def page_path(out: str, cameras: Path, form: str, view: str) -> Path:
         raise ConfigError(f"--out {path}: expected a name that ends in .html.")
     check_free(path, (cameras,))
     return path
+
+
+def show_calibration(page: CalibrationPage, path: Path, console: Console, written: str) -> None:
+    """Says what was found, and then writes the page.
+
+    Args:
+        page: What was found.
+        path: Where the page goes.
+        console: Where to say it.
+        written: What was written already, and where.
+    """
+    for line in (page.verdict, *page.notes, written):
+        if line:
+            console.print(line, soft_wrap=True)
+    write_calibration(page, path)
+    console.print(f"Page: {path}", soft_wrap=True)
 
 
 def write_calibration(page: CalibrationPage, path: Path) -> Path:

@@ -12,9 +12,10 @@ from jaxcam.interop.cameras.optics import Optics
 from jaxcam.interop.recordings import read_recording
 from jaxcam.robot.calibration.drift.change import AskedChange
 from jaxcam.robot.calibration.drift.change import Tested as Told
-from jaxcam.robot.calibration.drift.form import ViewDrift
+from jaxcam.robot.calibration.drift.view import ViewDrift
 from jaxcam.robot.calibration.projection import moved
 
+ARM = np.array([0.0, 0.0, 1.0])
 ELSEWHERE = moved(CAMERA, np.r_[0.01, 0.01, 0, np.deg2rad([1.5, -1.0, 0.0])])
 
 
@@ -33,13 +34,28 @@ def test_the_arm_names_the_episode_in_which_a_camera_stood_elsewhere(tmp_path, m
 def test_episodes_that_tell_too_little_are_no_camera_that_stood_still(tmp_path, monkeypatch):
     write_boxed(tmp_path, monkeypatch, [CAMERA] * 3, CAMERA)
     recording = read_recording(tmp_path / "data", tmp_path / "cameras.json")
-    asked = AskedChange(0, CAMERA, np.zeros(6), 0.05**2 * np.eye(6), 0.8, np.zeros(3))
+    asked = AskedChange(0, CAMERA, np.zeros(6), 0.05**2 * np.eye(6), 0.8, np.zeros(3), ARM)
     optics = Optics(K, SIDE, SIDE, np.zeros(9))
-    drift = ViewDrift("front", [Told(asked, np.zeros(6), 0.0, False)], [], optics)
+    drift = ViewDrift("front", [Told(asked, np.zeros(6), 0.0, False)] * 2, [], optics)
     monkeypatch.setattr(drifts, "drift_of", lambda *_: drift)
     (got,) = drifts.check_drift(recording, ["front"], [0, 1, 2], str(tmp_path / "arm.xml"))
     assert (got.finding.mark, got.finding.got) == (
         "note", "not known: an episode tells it to 50 mm, 2.9°"
+    )  # fmt: skip
+
+
+def test_a_pose_that_is_off_in_all_episodes_is_bad(tmp_path, monkeypatch):
+    write_boxed(tmp_path, monkeypatch, [CAMERA] * 3, CAMERA)
+    recording = read_recording(tmp_path / "data", tmp_path / "cameras.json")
+    off = np.r_[0.05, 0, 0, 0, 0, 0]
+    asked = AskedChange(0, CAMERA, off, 1e-6 * np.eye(6), 0.8, np.zeros(3), ARM)
+    optics = Optics(K, SIDE, SIDE, np.zeros(9))
+    drift = ViewDrift("front", [Told(asked, np.zeros(6), 0.0, False)] * 3, [], optics)
+    monkeypatch.setattr(drifts, "drift_of", lambda *_: drift)
+    still, off = drifts.check_drift(recording, ["front"], [0, 1, 2], str(tmp_path / "arm.xml"))
+    assert still.finding.mark == "good"
+    assert (off.finding.mark, off.finding.got) == (
+        "bad", "by the arm, 50 mm and 0.0° off in all 3 episodes"
     )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxcam.errors import DatasetError
 from jaxcam.robot.calibration.arm.film import Film
 from jaxcam.robot.calibration.arm.model import ArmModel
-from jaxcam.robot.calibration.arm.refine import Refined, Refiner, Solution
+from jaxcam.robot.calibration.arm.refine import REACHES, Refined, Refiner, Solution
 from jaxcam.robot.calibration.arm.search import FINE, MotionCells, changes_of, search
 from jaxcam.robot.calibration.projection import apart
 
@@ -26,6 +26,8 @@ SUPPORT = 0.3
 CLEARLY, RIVAL = 0.5, 0.85
 """A pose with so much support is tried alone, if those from other sides explain less than this
 share of what it does."""
+GO_ON, GAIN = 3, 0.02
+"""A refinement of less support is gone on with so often, while it gains so much of it."""
 UNKNOWN = 0.03, np.deg2rad(3.0)
 """Standard deviations (m, rad) from when on nothing is written."""
 LATE = 0.02
@@ -75,7 +77,7 @@ def fit_arm(arm: ArmModel, film: Film) -> ArmFit:
     rivals = int((overlaps > RIVAL * overlaps[0]).sum())
     for i in range(min(max(rivals, 2), len(poses))):
         start = Solution(poses[i], np.zeros(arm.joints), 0.0)
-        refined = refiner.refine(start)
+        refined = _settled(refiner, refiner.refine(start), near)
         tried.append((refined.support(near), i, refined))
         if rivals == 1 and refined.support(near) > CLEARLY:
             break
@@ -101,6 +103,18 @@ def fit_arm(arm: ArmModel, film: Film) -> ArmFit:
             "in which more of the arm moves farther in the picture."
         )
     return fit
+
+
+def _settled(refiner: Refiner, refined: Refined, near: float) -> Refined:
+    """A refinement that put little of the contour on edges, gone on with while that helps."""
+    for _ in range(GO_ON):
+        if refined.support(near) > CLEARLY:
+            break
+        again = refiner.refine(refined.solution, REACHES[2:])
+        if again.support(near) < refined.support(near) + GAIN:
+            break
+        refined = again
+    return refined
 
 
 def _check_motion(film: Film) -> None:

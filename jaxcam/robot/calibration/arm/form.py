@@ -23,12 +23,12 @@ from jaxcam.robot.calibration.arm.model import ArmModel, load_arm
 from jaxcam.robot.calibration.arm.shooting import optics_for, read_masks, take_film
 from jaxcam.robot.calibration.arm.showing import contour_overlays, edge_figure
 from jaxcam.robot.calibration.figures import space_figure
-from jaxcam.robot.calibration.known import require_view
+from jaxcam.robot.calibration.known import not_used_note, require_view
 from jaxcam.robot.calibration.page import (
     CalibrationPage,
     page_path,
+    show_calibration,
     spread_out,
-    write_calibration,
 )
 from jaxcam.robot.calibration.pose_page import overruled_note, pose_verdict
 
@@ -64,12 +64,9 @@ def calibrate_arm(config: ArmConfig, console: Console) -> None:
     update_cameras(cameras, Changes({config.view: entries}, about={config.view: about}))
     others = overruled(cameras, config.view)
     notes = [overruled_note(config.view, others)] if others else []
+    notes += filter(None, [not_used_note(recording, config.view, cameras)])
     page = arm_page(config, arm, fit, notes + _notes(fit))
-    write_calibration(page, path)
-    console.print(page.verdict, soft_wrap=True)
-    for note in page.notes:
-        console.print(note, soft_wrap=True)
-    console.print(f"{cameras}: pose of view {config.view}. Page: {path}", soft_wrap=True)
+    show_calibration(page, path, console, f"{cameras}: pose of view {config.view}.")
 
 
 def arm_for(robot: str, columns: JointNumbers) -> ArmModel:

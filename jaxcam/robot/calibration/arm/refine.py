@@ -36,6 +36,8 @@ class Looked:
     contours: list[Contour] = field(repr=False)
     rows: np.ndarray = field(repr=False)
     """The picture of each point, [n]."""
+    places: np.ndarray = field(repr=False)
+    """Where the points are in the camera's axes (m), [n, 3]."""
     offsets: np.ndarray = field(repr=False)
     """Pixels outwards from the contour to the edge, [n]."""
     clear: np.ndarray = field(repr=False)
@@ -109,7 +111,7 @@ class Refiner:
         covered = np.stack([
             cv2.dilate(m.astype(np.uint8), np.ones((width, width), np.uint8)) > 0 for m in masks
         ])  # fmt: skip
-        contours, rows, offsets, clear = [], [], [], []
+        contours, rows, places, offsets, clear = [], [], [], [], []
         for episode in self.film.by_episode():
             check_stop()
             differences = self._differences(episode, covered[episode])
@@ -120,11 +122,11 @@ class Refiner:
                 edges = find_edges(difference, outline.pixels, outline.normals, reach)
                 contours.append(outline)
                 rows.append(np.full(len(outline.pixels), i))
+                owners = inverse @ poses[i][outline.owners]
+                places.append(placed(owners, outline.points[:, None])[:, 0])
                 offsets.append(edges.offsets)
                 clear.append(edges.clear)
-        return Looked(
-            contours, np.concatenate(rows), np.concatenate(offsets), np.concatenate(clear)
-        )
+        return Looked(contours, *map(np.concatenate, (rows, places, offsets, clear)))
 
     def _differences(self, episode: np.ndarray, covered: np.ndarray) -> Iterator[np.ndarray]:
         """Pictures of one episode less their background, or masks of another tool."""
@@ -155,7 +157,7 @@ class Refiner:
             if not len(outline.pixels):
                 continue
             i = looked.rows[at[number]]
-            there = placed(inverse @ poses[i][outline.owners], outline.points[:, None])[:, 0]
+            there = looked.places[at[number] : at[number + 1]]
             x, y, z = there.T
             flat = np.zeros((len(x), 2, 3))
             flat[:, 0, 0], flat[:, 0, 2] = 1 / z, -x / z**2

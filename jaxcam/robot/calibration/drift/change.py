@@ -20,8 +20,10 @@ from jaxcam.robot.calibration.drift.still import (
     astray,
     distances,
     doubt,
+    limit_of,
     mean,
     still_episodes,
+    swings,
 )
 from jaxcam.robot.calibration.projection import change_of, moved
 
@@ -56,6 +58,8 @@ class AskedChange:
     """Share of the contour that lies on edges."""
     joints: np.ndarray = field(repr=False)
     """Faults of the joints as this episode has them (rad)."""
+    arm_at: np.ndarray = field(repr=False)
+    """Where the arm is before the camera, in the mean of its contour (m), [3]."""
 
     @property
     def clear(self) -> bool:
@@ -119,6 +123,7 @@ def _asked(refiner: Refiner, refined: Refined, given: np.ndarray, film: Film) ->
     return AskedChange(
         int(film.episodes[0]), given, change, refined.covariance,
         refined.support(NEAR * refiner.scale), refined.solution.joints,
+        refined.looked.places.mean(0) if len(refined.left) else np.zeros(3),
     )  # fmt: skip
 
 
@@ -190,12 +195,13 @@ def judged_changes(asked: Sequence[AskedChange]) -> list[Tested]:
     spreads = np.stack([a.covariance for a in clear]) + FLOOR
     spreads = spreads * astray(np.array([a.support for a in clear]))[:, None, None]
     spreads = spreads * doubt(changes, spreads)
-    still = still_episodes(changes, spreads)
-    rest = changes - mean(changes[still], spreads[still])[0]
+    wide = spreads + swings(np.stack([a.arm_at for a in clear]))
+    still = still_episodes(changes, wide, limit_of(spreads))
+    rest = changes - mean(changes[still], wide[still])[0]
     return [
         Tested(replace(a, covariance=spread), change, float(far), not stood)
         for a, change, spread, far, stood in zip(
-            clear, rest, spreads, distances(rest, spreads), still, strict=True
+            clear, rest, spreads, distances(rest, wide), still, strict=True
         )
     ]
 

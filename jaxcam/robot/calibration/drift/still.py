@@ -10,9 +10,13 @@ from jaxcam.robot.calibration.projection import spread_of
 
 FLOOR = np.diag(np.square(np.repeat([0.0003, np.deg2rad(0.015)], 3)))
 """Covariance (m, rad) that a change has at least, however many episodes ask for it."""
-LIMIT = 45.0
-"""Squared distance, in standard deviations, beyond which a camera has moved. On films of twenty
-development cameras still ones had up to 32, and those that were moved by 1 cm 62 or more."""
+SWING = np.deg2rad(0.3)
+"""Standard deviation (rad) of a turn about the arm that an episode may ask for though nothing
+moved: such a turn changes the picture's perspective alone, by less than edges are off."""
+LIMIT = 30.0
+"""Squared distance, in standard deviations, beyond which a camera has moved. On films of seven
+development cameras still ones had up to 17, and all that were moved by 1 cm or 1 degree 36 or
+more."""
 LEAST = 0.004, np.deg2rad(0.25)
 """Changes (m, rad) below both of which nothing is said."""
 UNSURE = 0.012, np.deg2rad(0.75)
@@ -65,6 +69,21 @@ def doubt(changes: np.ndarray, spreads: np.ndarray) -> float:
     return float(np.exp((measured + USUAL_PAIRS * np.log(USUAL_DOUBT)) / (pairs + USUAL_PAIRS)))
 
 
+def swings(arm_at: np.ndarray) -> np.ndarray:
+    """Covariances of turns about the arm, as small motions of the camera.
+
+    Args:
+        arm_at: Where the arm is before the camera (m), [n, 3].
+
+    Returns:
+        [n, 6, 6], of metres and radians.
+    """
+    # About a point p, a turn w takes the camera along by p x w.
+    along = np.cross(arm_at[:, None], np.eye(3))
+    both = np.concatenate([along, np.broadcast_to(np.eye(3), along.shape)], -1)
+    return SWING**2 * np.einsum("nki,nkj->nij", both, both)
+
+
 def single_spread(spreads: np.ndarray) -> tuple[float, float]:
     """Standard deviations (m, rad) of what single episodes ask for, in the median.
 
@@ -80,7 +99,12 @@ def are_unsure(spreads: np.ndarray) -> bool:
     return any(np.greater(single_spread(spreads), UNSURE))
 
 
-def still_episodes(changes: np.ndarray, spreads: np.ndarray) -> np.ndarray:
+def limit_of(spreads: np.ndarray) -> float:
+    """Squared distance beyond which a camera has moved, by what single episodes can tell."""
+    return LIMIT * (DOUBTED if are_unsure(spreads) else 1)
+
+
+def still_episodes(changes: np.ndarray, spreads: np.ndarray, limit: float) -> np.ndarray:
     """In which episodes the camera stood where it did in most.
 
     Where most ask for more than joints can be off by, and enough others for less, these are meant:
@@ -90,12 +114,12 @@ def still_episodes(changes: np.ndarray, spreads: np.ndarray) -> np.ndarray:
     Args:
         changes: What episodes ask for, in their order, [n, 6].
         spreads: Covariances, [n, 6, 6].
+        limit: See `limit_of`.
 
     Returns:
         Bool [n].
     """
     still = np.ones(len(changes), bool)
-    limit = LIMIT * (DOUBTED if are_unsure(spreads) else 1)
     while still.sum() > 1:
         rows = np.flatnonzero(still)
         run = _strangest(changes[rows], spreads[rows], limit)
@@ -119,19 +143,21 @@ def _strangest(changes: np.ndarray, spreads: np.ndarray, limit: float) -> tuple[
     sums, totals = (
         np.concatenate([np.zeros_like(a[:1]), np.cumsum(a, 0)]) for a in (weights, pulls)
     )
-    first, last = np.triu_indices(len(sums), 1)
-    some = last - first < len(changes)
-    first, last = first[some], last[some]
-    own, rest = sums[last] - sums[first], sums[-1] - (sums[last] - sums[first])
-    pull = totals[last] - totals[first]
-    own, rest = np.linalg.inv(own), np.linalg.inv(rest)
-    away = (own @ pull[..., None] - rest @ (totals[-1] - pull)[..., None])[..., 0]
-    far = (np.linalg.norm(away[:, :3], axis=-1) > LEAST[0]) | (
-        np.linalg.norm(away[:, 3:], axis=-1) > LEAST[1]
-    )
-    strange = np.where(far, distances(away, own + rest + FLOOR), 0.0)
-    best = int(strange.argmax())
-    return (int(first[best]), int(last[best])) if strange[best] > limit else None
+    best, strangest = limit, None
+    for first in range(len(changes)):  # of all runs at once there would be too many for memory
+        last = np.arange(first + 1, len(sums))
+        last = last[last - first < len(changes)]
+        own, rest = sums[last] - sums[first], sums[-1] - (sums[last] - sums[first])
+        pull = totals[last] - totals[first]
+        own, rest = np.linalg.inv(own), np.linalg.inv(rest)
+        away = (own @ pull[..., None] - rest @ (totals[-1] - pull)[..., None])[..., 0]
+        far = (np.linalg.norm(away[:, :3], axis=-1) > LEAST[0]) | (
+            np.linalg.norm(away[:, 3:], axis=-1) > LEAST[1]
+        )
+        strange = np.where(far, distances(away, own + rest + FLOOR), 0.0)
+        if strange.max(initial=0.0) > best:
+            best, strangest = strange.max(), (first, int(last[strange.argmax()]))
+    return strangest
 
 
 def mean(changes: np.ndarray, spreads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

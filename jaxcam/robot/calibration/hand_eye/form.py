@@ -24,13 +24,13 @@ from jaxcam.robot.calibration.figures import residual_figure, space_figure
 from jaxcam.robot.calibration.hand_eye.faults import Case, Delay, delay_of, fit_shots, is_late
 from jaxcam.robot.calibration.hand_eye.fit import HandEyeFit, turns_of
 from jaxcam.robot.calibration.hand_eye.shots import board_of, take_shots
-from jaxcam.robot.calibration.known import optics_of_view, require_view
+from jaxcam.robot.calibration.known import not_used_note, optics_of_view, require_view
 from jaxcam.robot.calibration.page import (
     CalibrationPage,
     overlay,
     page_path,
+    show_calibration,
     spread_out,
-    write_calibration,
 )
 from jaxcam.robot.calibration.pose_page import overruled_note, pose_verdict
 from jaxcam.robot.calibration.projection import placed
@@ -76,12 +76,9 @@ def calibrate_hand_eye(config: HandEyeConfig, console: Console) -> None:
     update_cameras(cameras, Changes({config.view: entries}, about={config.view: about}))
     others = overruled(cameras, config.view)
     notes = [overruled_note(config.view, others)] if others else []
+    notes += filter(None, [not_used_note(recording, config.view, cameras)])
     page = _page(config, case, fit, notes + _in_time(delay, late, carried=carried))
-    write_calibration(page, path)
-    console.print(page.verdict, soft_wrap=True)
-    for note in page.notes:
-        console.print(note, soft_wrap=True)
-    console.print(f"{cameras}: pose of view {config.view}. Page: {path}", soft_wrap=True)
+    show_calibration(page, path, console, f"{cameras}: pose of view {config.view}.")
 
 
 def _optics(recording: Recording, view: str, cameras: Path) -> Optics:

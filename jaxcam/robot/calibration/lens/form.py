@@ -20,8 +20,8 @@ from jaxcam.robot.calibration.page import (
     CalibrationPage,
     overlay,
     page_path,
+    show_calibration,
     spread_out,
-    write_calibration,
 )
 from jaxcam.robot.calibration.pictures import NamedPicture, read_pictures
 
@@ -80,11 +80,7 @@ def calibrate_lens(config: LensConfig, console: Console) -> None:
     )
     about = {"lens": _about(fit, board)}
     update_cameras(cameras, Changes({config.view: entries}, about={config.view: about}))
-    write_calibration(page, path)
-    console.print(page.verdict, soft_wrap=True)
-    for note in notes:
-        console.print(note, soft_wrap=True)
-    console.print(f"{cameras}: K and lens of view {config.view}. Page: {path}", soft_wrap=True)
+    show_calibration(page, path, console, f"{cameras}: K and lens of view {config.view}.")
 
 
 def find_boards(

@@ -20,12 +20,12 @@ from jaxcam.interop.cameras.writing import (
 )
 from jaxcam.interop.recordings import is_recording, read_recording
 from jaxcam.robot.calibration.figures import residual_figure, space_figure
-from jaxcam.robot.calibration.known import optics_of_view, require_view
+from jaxcam.robot.calibration.known import not_used_note, optics_of_view, require_view
 from jaxcam.robot.calibration.page import (
     CalibrationPage,
     page_path,
+    show_calibration,
     spread_out,
-    write_calibration,
 )
 from jaxcam.robot.calibration.pictures import NamedPicture, read_pictures
 from jaxcam.robot.calibration.pose_page import (
@@ -68,12 +68,8 @@ def calibrate_tags(config: TagsConfig, console: Console) -> None:
         if not one.episode and (others := overruled(cameras, one.view)):
             notes.append(overruled_note(one.view, others))
     page = _page(located, tags, notes)
-    write_calibration(page, path)
-    console.print(page.verdict, soft_wrap=True)
-    for note in page.notes:
-        console.print(note, soft_wrap=True)
     views = ", ".join(dict.fromkeys(one.view for one in located))
-    console.print(f"{cameras}: poses of {views}. Page: {path}", soft_wrap=True)
+    show_calibration(page, path, console, f"{cameras}: poses of {views}.")
 
 
 def _of_pictures(config: TagsConfig, tags: Tags, cameras: Path) -> tuple[list[Located], list[str]]:
@@ -112,7 +108,7 @@ def _of_recording(
             reasons.append(f"View {view} was not calibrated: {error}")
             continue
         located += own
-        notes += more
+        notes += [*more, *filter(None, [not_used_note(recording, view, cameras)])]
     if not located:
         raise DatasetError(" ".join(reasons))
     return located, notes + reasons

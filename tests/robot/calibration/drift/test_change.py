@@ -16,6 +16,7 @@ from jaxcam.robot.calibration.drift.change import (
 )
 from jaxcam.robot.calibration.projection import apart, moved
 
+ARM = np.array([0.1, 0.0, 1.0])
 BUMP = np.r_[0.0, 0.0, 0.0, np.deg2rad([0.8, -0.8, 0.0])]
 
 
@@ -33,10 +34,10 @@ def test_a_camera_that_was_turned_is_found_with_its_episode_and_pose():
     assert turn < np.deg2rad(0.6)
 
 
-def drawn(change, episode, rng, support=0.8):
-    noise = rng.normal(0, [0.002] * 3 + [0.001] * 3)
-    covariance = np.diag([0.002**2] * 3 + [0.001**2] * 3)
-    return AskedChange(episode, CAMERA, change + noise, covariance, support, np.zeros(3))
+def drawn(change, episode, rng, support=0.8, share=1.0):
+    sigma = share * np.repeat([0.002, 0.001], 3)
+    noise, covariance = rng.normal(0, sigma), np.diag(sigma**2)
+    return AskedChange(episode, CAMERA, change + noise, covariance, support, np.zeros(3), ARM)
 
 
 @pytest.mark.parametrize("support", [0.4, 0.1])
@@ -76,11 +77,21 @@ def test_where_no_episode_is_clear_at_the_second_look_nothing_is_said():
 
 
 def test_an_episode_with_little_of_its_contour_on_edges_must_be_further_away():
-    bump = np.r_[0.02, 0, 0, 0, 0, 0.01]
+    bump = np.r_[0.03, 0, 0, 0, 0, 0.015]
     for support, moves in ((0.8, True), (0.45, False)):
         rng = np.random.default_rng(1)
         asked = [drawn(bump * (e == 4), e, rng, support=support if e == 4 else 0.8)
                  for e in range(8)]  # fmt: skip
+        assert [t.moved for t in judged_changes(asked)] == [moves and e == 4 for e in range(8)]
+
+
+def test_a_turn_about_the_arm_is_no_motion_and_as_large_a_one_of_the_camera_is():
+    """The picture of the arm hardly changes: contours and edges differ by more than that."""
+    turn = np.deg2rad([0.0, 0.8, 0.0])
+    swing, own = np.r_[np.cross(ARM, turn), turn], np.r_[np.zeros(3), turn]
+    for change, moves in ((swing, False), (own, True)):
+        rng = np.random.default_rng(2)
+        asked = [drawn(change * (e == 4), e, rng, share=0.5) for e in range(8)]
         assert [t.moved for t in judged_changes(asked)] == [moves and e == 4 for e in range(8)]
 
 

@@ -3,10 +3,15 @@
 import numpy as np
 import pytest
 
-from jaxcam.robot.calibration.drift.still import FLOOR, doubt, still_episodes
+from jaxcam.robot.calibration.drift.still import FLOOR, doubt, limit_of
+from jaxcam.robot.calibration.drift.still import still_episodes as still_by
 
 SIGMA = np.repeat([0.004, 0.006], 3)
 BUMP = np.r_[0.01, 0, 0, 0, 0, 0.012]
+
+
+def still_episodes(changes, spreads):
+    return still_by(changes, spreads, limit_of(spreads))
 
 
 def drawn(rng, offsets, sigma=SIGMA):
