@@ -16,6 +16,7 @@ MODULE = re.compile(r"(?:from |import |python -m )(jaxcam(?:\.[a-z_]\w*)*)")
 ENVIRONMENTS = {env_id(task) for task in names_of(TaskName)}
 """Gymnasium's names, which look like paths."""
 LINK = re.compile(r"\]\(([^)#:]+)(?:#[^)]*)?\)")
+REPORTS = sorted((REPO / "results").glob("*/report.md"))
 OUTWARD = re.compile(r"https?:[^\s<>)\]`\"']*")
 
 
@@ -35,6 +36,13 @@ def test_what_a_page_names_exists(page):
     missing |= {name for name in paths if not (REPO / name).exists()}
     missing |= {name for name in LINK.findall(text) if not (page.parent / name).exists()}
     assert missing == set()
+
+
+@pytest.mark.parametrize("page", REPORTS, ids=lambda page: page.parent.name)
+def test_a_report_that_is_kept_links_to_what_is_kept(page):
+    """Not to videos in a folder of runs that was on one machine."""
+    links = LINK.findall(page.read_text(encoding="utf-8"))
+    assert [name for name in links if not (page.parent / name).exists()] == []
 
 
 def test_the_readme_is_read_to_its_end():

@@ -25,7 +25,8 @@ def write_boxed(root, monkeypatch, cameras, pose=None):
     monkeypatch.setattr(lerobot_datasets, "picture", lambda e, t, v: shown.rgb[LENGTH * e + t])
     lerobot_datasets.write_folder(root / "data", dtype="image", keys=("observation.images.front",))
     states = shown.angles.astype(np.float32)
-    for file, rows in enumerate((states[: 2 * LENGTH], states[2 * LENGTH :])):
+    ends = range(2 * LENGTH, len(states), LENGTH)  # the first file has two episodes
+    for file, rows in enumerate(np.split(states, ends)):
         path = root / f"data/data/chunk-000/file-{file:03d}.parquet"
         lerobot_datasets.edit_table(path, **{"observation.state": list(map(list, rows))})
     names = [f"joint_{i + 1}" for i in range(len(JOINTS))]

@@ -103,7 +103,9 @@ def write_folder(
         tables.append(pa.table(columns))
         index += length
     # file of each episode, and the episodes before it there
-    files = [(0, 0), (0, 1), (1, 0)] if version == "v3.0" else [(e, 0) for e in range(3)]
+    files = [(e, 0) for e in range(len(LENGTHS))]
+    if version == "v3.0":
+        files = [(0, 0), (0, 1), *files[1:-1]]
     _write_tables(root, version, files, tables)
     if dtype == "video":
         for key in keys:

@@ -14,7 +14,7 @@ from jaxcam.config.calibrate_arm import DriftConfig
 from jaxcam.data.recorded.recording import Recording
 from jaxcam.robot.calibration.arm.form import arm_for
 from jaxcam.robot.calibration.arm.joints import joint_numbers
-from jaxcam.robot.calibration.drift.view import ViewDrift, drift_of, episodes_standing
+from jaxcam.robot.calibration.drift.looking import ViewDrift, drift_of, episodes_standing
 
 WHAT = "standing still"
 

@@ -12,7 +12,7 @@ from jaxcam.interop.cameras.optics import Optics
 from jaxcam.interop.recordings import read_recording
 from jaxcam.robot.calibration.drift.change import AskedChange
 from jaxcam.robot.calibration.drift.change import Tested as Told
-from jaxcam.robot.calibration.drift.view import ViewDrift
+from jaxcam.robot.calibration.drift.looking import ViewDrift
 from jaxcam.robot.calibration.projection import moved
 
 ARM = np.array([0.0, 0.0, 1.0])

@@ -19,8 +19,8 @@ from jaxcam.robot.calibration.arm.form import arm_for
 from jaxcam.robot.calibration.arm.joints import JointNumbers, joint_numbers
 from jaxcam.robot.calibration.arm.model import ArmModel
 from jaxcam.robot.calibration.drift.change import SUPPORT
-from jaxcam.robot.calibration.drift.view import (
-    Looks,
+from jaxcam.robot.calibration.drift.looking import (
+    LookedAt,
     ViewDrift,
     drift_of,
     episodes_standing,
@@ -85,10 +85,10 @@ def _drifts(
     config: DriftConfig,
     console: Console,
 ) -> Iterator[ViewDrift]:
-    """Looks at some episodes of each view, then once more around those in which it had moved."""
+    """LookedAt at some episodes of each view, then once more around those in which it had moved."""
     for view, episodes in by_view.items():
         some = [episodes[i] for i in spread_out(len(episodes), config.episodes)]
-        looks: Looks = {}
+        looks: LookedAt = {}
         with progress(console, f"looking at {view}", len(some)) as advance:
             drift = drift_of(recording, view, some, arm, columns, config.most, advance, looks)
         if ends := drift.open_ends:
@@ -111,7 +111,8 @@ def drift_words(recording: Recording, drift: ViewDrift) -> list[str]:
         place, turn = run[0].sizes
         position = ", ".join(f"{x:.4f}" for x in run[0].pose[:3, 3])
         name = recording.episodes[first].name
-        which = f"episode {first}" + (f" ({name})" if name != str(first) else "")
+        own = "" if name in (str(first), f"episode {first}") else f" ({name})"
+        which = f"episode {first}{own}"
         which = f"from {which} on, to episode {last}" if last > first else f"in {which}"
         lines.append(
             f"View {drift.view}: the camera had moved {which}, by {1000 * place:.0f} mm and "

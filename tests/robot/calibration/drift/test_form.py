@@ -1,6 +1,5 @@
 """`jaxcam.calibrate drift` as a command."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ from jaxcam.interop.recordings import read_recording
 from jaxcam.robot.calibration.drift.change import AskedChange, judged_changes
 from jaxcam.robot.calibration.drift.change import Tested as Judged
 from jaxcam.robot.calibration.drift.form import drift_words
-from jaxcam.robot.calibration.drift.view import ViewDrift
+from jaxcam.robot.calibration.drift.looking import ViewDrift
 from jaxcam.robot.calibration.projection import apart, moved
 
 ARM = np.array([0.0, 0.0, 1.0])
@@ -60,7 +59,8 @@ def test_episodes_between_and_beside_those_that_were_looked_at(tmp_path, monkeyp
     monkeypatch.chdir(tmp_path)
     write_boxed(tmp_path, monkeypatch, [CAMERA] * 3 + [ELSEWHERE] * 2, CAMERA)
     assert exit_code(*ASKED, "--episodes", "3", "--write") == 0
-    assert "from episode 3 on, to episode 4" in " ".join(capsys.readouterr().out.split())
+    said = " ".join(capsys.readouterr().out.split())
+    assert "from episode 3 on, to episode 4" in said, said
     assert list(read_cameras(tmp_path / "cameras.json").episodes) == ["3", "4"]
 
 
@@ -115,26 +115,6 @@ def test_one_episode_alone_tells_nothing():
     (line,) = drift_words(RECORDING, alone)
     assert "episode 4 alone says something" in line
     assert not alone.stood_still
-
-
-def test_a_run_has_its_pose_in_all_episodes_from_its_first_to_its_last():
-    """Also where pictures say nothing, or nobody looked; next to it nobody knows."""
-    change = np.r_[0.02, 0, 0, 0, 0, 0.02]
-    at = {2: False, 4: True, 8: True, 12: False}
-    episodes = [
-        replace(one, asked=replace(one.asked, episode=number), moved=moves)
-        for number, moves in at.items()
-        for one in [found(change * moves, np.zeros(6))]
-    ]
-    silent = [replace(found(np.zeros(6), np.zeros(6), support=0.1).asked, episode=6)]
-    left_out = dict.fromkeys((0, 3, 5, 7, 9, 10, 11, 14), CAMERA)
-    drift = ViewDrift("front", episodes, silent, OPTICS, left_out)
-    poses = drift.poses(drift.runs[0])
-    assert list(poses) == [4, 5, 6, 7, 8]
-    for pose in poses.values():
-        np.testing.assert_allclose(pose, moved(CAMERA, change), atol=1e-9)
-    assert drift.open_ends == [3, 9, 10, 11]
-    assert "nobody looked at episodes 3, 9, 10, 11" in " ".join(drift_words(RECORDING, drift))
 
 
 def test_pictures_that_say_nothing_are_no_camera_that_stood_still():

@@ -27,7 +27,7 @@ POSE_OFF = 0.02, np.deg2rad(1.0)
 """Changes (m, rad) that all episodes ask for from which on the given pose is called off; faults of
 joints of half a degree ask for less."""
 
-Looks = dict[int, tuple[Film, AskedChange]]
+LookedAt = dict[int, tuple[Film, AskedChange]]
 """Pictures of episodes that were looked at, and what each asks for with its joints free."""
 
 
@@ -137,7 +137,7 @@ def drift_of(
     columns: JointNumbers,
     most: int,
     advance: Callable[[], None] = lambda: None,
-    looks: Looks | None = None,
+    looks: LookedAt | None = None,
 ) -> ViewDrift:
     """What one view's episodes ask for.
 
