@@ -70,8 +70,8 @@ def test_a_pose_that_would_not_count_is_not_written(tmp_path, monkeypatch, capsy
     write_boxed(tmp_path, monkeypatch, [CAMERA] * 3, CAMERA)
     (tmp_path / "cameras.json").rename(tmp_path / "data/meta/jaxcam.json")
     assert exit_code(*ASKED, "--write") != 0
-    said = " ".join(capsys.readouterr().err.replace("│", " ").split())
-    assert "meta/jaxcam.json comes first" in said
+    said = "".join(capsys.readouterr().err.replace("│", " ").split())  # the box breaks paths
+    assert "meta/jaxcam.jsoncomesfirst" in said
     assert not (tmp_path / "cameras.json").exists()
     recording = read_recording(tmp_path / "data")
     assert pose_before(recording, "front", tmp_path / "data/meta/jaxcam.json") == ""
@@ -81,8 +81,8 @@ def test_a_file_of_calibrations_that_is_not_there(tmp_path, monkeypatch, capsys)
     monkeypatch.chdir(tmp_path)
     write_boxed(tmp_path, monkeypatch, [CAMERA] * 3, CAMERA)
     assert exit_code(*ASKED, "--cameras", "typo.json") != 0
-    said = " ".join(capsys.readouterr().err.replace("│", " ").split())
-    assert "typo.json: no such file." in said
+    said = "".join(capsys.readouterr().err.replace("│", " ").split())
+    assert "typo.json:nosuchfile." in said
 
 
 def test_no_pose_is_known(tmp_path, monkeypatch, capsys):
