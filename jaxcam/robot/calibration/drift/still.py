@@ -10,12 +10,12 @@ from jaxcam.robot.calibration.projection import spread_of
 
 FLOOR = np.diag(np.square(np.repeat([0.0003, np.deg2rad(0.015)], 3)))
 """Covariance (m, rad) that a change has at least, however many episodes ask for it."""
-SWING = np.deg2rad(0.3)
+SWING = np.deg2rad(0.2)
 """Standard deviation (rad) of a turn about the arm that an episode may ask for though nothing
 moved: such a turn changes the picture's perspective alone, by less than edges are off."""
 LIMIT = 30.0
 """Squared distance, in standard deviations, beyond which a camera has moved. On films of seven
-development cameras still ones had up to 17, and all that were moved by 1 cm or 1 degree 36 or
+development cameras still ones had up to 19, and all that were moved by 1 cm or 1 degree 45 or
 more."""
 LEAST = 0.004, np.deg2rad(0.25)
 """Changes (m, rad) below both of which nothing is said."""
