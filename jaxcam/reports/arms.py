@@ -15,7 +15,7 @@ from jaxcam.config.names import TaskName, names_of
 from jaxcam.reports.packs.records import NAMED
 from jaxcam.results.differences import PairedDifference, paired_difference
 from jaxcam.results.protocol import Protocol, counted, is_foreign, lacks, protocol_of
-from jaxcam.results.rows import USUAL_WAY, Row
+from jaxcam.results.rows import Row
 from jaxcam.results.stats import Estimate, success_rate
 from jaxcam.runs.foreign import NOT_SAID
 from jaxcam.runs.identity import (
@@ -25,6 +25,7 @@ from jaxcam.runs.identity import (
     changes,
     network_of,
     plain,
+    usual_way,
     without_twin,
 )
 from jaxcam.sim import make_task
@@ -137,7 +138,8 @@ class Arm:
         if self.settings.get("preset") is not None:
             return changes(self.settings)
         views = usual_views(self.settings["task"])
-        usual = USUAL_WAY | OF_CAMERAS | {"views": views, "action_space": USUAL_SPACE}
+        usual = usual_way(self.settings["task"]) | OF_CAMERAS
+        usual |= {"views": views, "action_space": USUAL_SPACE}
         return {
             k: v for k, v in self.settings.items()
             if k not in _SAID and v not in (None, "", [], usual.get(k))

@@ -14,10 +14,10 @@ from jaxcam.reports.packs.folder import read_results, run_key
 from jaxcam.reports.packs.pack import Pack, is_pack, read_pack
 from jaxcam.reports.packs.records import NAMED
 from jaxcam.results.protocol import NOT_RECORDED, is_foreign
-from jaxcam.results.rows import CONDITIONS, SEEN, USUAL_WAY, Row
+from jaxcam.results.rows import CONDITIONS, SEEN, Row
 from jaxcam.results.stats import latest_rows
 from jaxcam.runs.foreign import has_foreign, read_foreign_record
-from jaxcam.runs.identity import Settings, identity, read_config
+from jaxcam.runs.identity import Settings, identity, read_config, usual_way
 from jaxcam.runs.manifests import record_of_weights, sides
 from jaxcam.runs.metrics import read_metrics
 from jaxcam.runs.rollouts import of_one_run, read_rows, read_run_rows
@@ -157,9 +157,13 @@ def _under_each(run: Run, rows: Sequence[Row], split: str) -> list[Run]:
         if row.split == split:
             groups.setdefault(row.conditions, []).append(row)
     if not groups:
-        return [replace(run, settings=run.settings | _ways([]))]
+        return [replace(run, settings=run.settings | _ways([], run.settings["task"]))]
     return [
-        replace(run, settings=run.settings | _ways(some) | _varied(conditions), rows=some)
+        replace(
+            run,
+            settings=run.settings | _ways(some, run.settings["task"]) | _varied(conditions),
+            rows=some,
+        )
         for conditions, some in groups.items()
     ]
 
@@ -281,10 +285,11 @@ def _cameras_of(settings: Settings) -> tuple[Any, ...]:
     return tuple(settings.get(name) for name in ("demos", "n", "m", "dataset"))
 
 
-def _ways(rows: Iterable[Row]) -> Settings:
-    """How the policy was run."""
-    used = {name: sorted({getattr(row, name) for row in rows}) for name in USUAL_WAY}
-    return {k: USUAL_WAY[k] if not v else v[0] if len(v) == 1 else v for k, v in used.items()}
+def _ways(rows: Iterable[Row], task: str) -> Settings:
+    """How the policy was run; where it was not, how it would be."""
+    usual = usual_way(task)
+    used = {name: sorted({getattr(row, name) for row in rows}) for name in usual}
+    return {k: usual[k] if not v else v[0] if len(v) == 1 else v for k, v in used.items()}
 
 
 def _kind_of_weights(folder: Path, name: str) -> str:

@@ -18,13 +18,14 @@ from typing import Any, NamedTuple
 
 from jaxcam.config.conditions import OPTICS, of_task
 from jaxcam.config.fields import fill, from_json, overrides
+from jaxcam.config.names import TaskName, names_of
 from jaxcam.config.presets import PRESETS, Preset, preset_of
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
 from jaxcam.files.paths import read_text
 from jaxcam.results.rows import CONDITIONS, USUAL_WAY
 from jaxcam.runs.manifests import sides
-from jaxcam.sim import make_task
+from jaxcam.sim import SIMULATORS, make_task
 
 Settings = dict[str, Any]
 """Settings by name, as JSON has them."""
@@ -215,7 +216,7 @@ def full_name(config: TrainConfig, *, files: bool = True) -> str:
         config: Resolved settings.
         files: Whether it tells the folders of data and weights apart, too; version 0.1.0 did not.
     """
-    settings = identity(config) | {"engine": USUAL_WAY["engine"]}  # it trains nothing else
+    settings = identity(config) | usual_way(config.task)  # it trains nothing else
     parts = [settings[name] for name in _NAMED]
     parts += [f"{k}{_in_name(v)}" for k, v in changes(settings).items()]
     parts += [_digest(*paths)] if files and (paths := _paths(config)) else []
@@ -285,9 +286,22 @@ def changes(settings: Settings) -> Settings:
 
 
 @functools.lru_cache
+def usual_way(task: str) -> Settings:
+    """How policies are run in a task where nothing else is asked for.
+
+    Args:
+        task: Its name; others than ours have the engine that most of ours have.
+    """
+    if task not in names_of(TaskName):
+        return USUAL_WAY
+    simulator = SIMULATORS[make_task(task).simulator]
+    return USUAL_WAY | {"engine": next(iter(simulator.engines))}
+
+
+@functools.lru_cache
 def _usual(*named: str, steps: int | None = None) -> Settings:
     config = TrainConfig(**dict(zip(_NAMED, named, strict=True)), steps=steps)  # pyright: ignore
-    usual = identity(resolve(config, accelerator=False)) | USUAL_WAY
+    usual = identity(resolve(config, accelerator=False)) | usual_way(config.task)
     fields = {k: getattr(TrainConfig, k) for k in ("rotations", "action_frame")}
     return usual | fields | dict.fromkeys(CONDITIONS) | OF_CAMERAS
 

@@ -210,6 +210,13 @@ def test_changes_are_against_the_preset_and_do_not_repeat_what_follows():
     assert changes(shorter) == {"steps": 100, "lr": 0.5}  # the shorter warm-up follows
 
 
+def test_the_engine_of_a_tasks_own_simulator_is_no_change():
+    push = identity(resolve(TrainConfig(task="push"), accelerator=False))
+    assert changes(push | {"engine": "sapien"}) == {}
+    assert changes(push | {"engine": "sapien-gpu"}) == {"engine": "sapien-gpu"}
+    assert "engine" not in full_name(resolve(TrainConfig(task="push"), accelerator=False))
+
+
 def test_full_names_tell_runs_apart_in_words_of_a_folder():
     name = full_name(changed(model=("width=64", "heads=2"), lr=0.0005, seed=1))
     assert name == "lift-randomized-act-laptop-keypoints-lr0.0005-modelwidth=64_heads=2-1"
