@@ -72,6 +72,8 @@ def doubt(changes: np.ndarray, spreads: np.ndarray) -> float:
 def swings(arm_at: np.ndarray) -> np.ndarray:
     """Covariances of turns about the arm, as small motions of the camera.
 
+    About the line of sight alone there is none: it turns the arm's picture.
+
     Args:
         arm_at: Where the arm is before the camera (m), [n, 3].
 
@@ -80,7 +82,8 @@ def swings(arm_at: np.ndarray) -> np.ndarray:
     """
     # About a point p, a turn w takes the camera along by p x w.
     along = np.cross(arm_at[:, None], np.eye(3))
-    both = np.concatenate([along, np.broadcast_to(np.eye(3), along.shape)], -1)
+    sight = arm_at / np.linalg.norm(arm_at, axis=-1, keepdims=True)
+    both = np.concatenate([along, np.eye(3) - sight[:, :, None] * sight[:, None]], -1)
     return SWING**2 * np.einsum("nki,nkj->nij", both, both)
 
 

@@ -87,9 +87,9 @@ def test_an_episode_with_little_of_its_contour_on_edges_must_be_further_away():
 
 def test_a_turn_about_the_arm_is_no_motion_and_as_large_a_one_of_the_camera_is():
     """The picture of the arm hardly changes: contours and edges differ by more than that."""
-    turn = np.deg2rad([0.0, 0.8, 0.0])
+    turn, sight = np.deg2rad([0.0, 0.7, 0.0]), np.deg2rad(0.7) * ARM / np.linalg.norm(ARM)
     swing, own = np.r_[np.cross(ARM, turn), turn], np.r_[np.zeros(3), turn]
-    for change, moves in ((swing, False), (own, True)):
+    for change, moves in ((swing, False), (own, True), (np.r_[np.zeros(3), sight], True)):
         rng = np.random.default_rng(2)
         asked = [drawn(change * (e == 4), e, rng, share=0.5) for e in range(8)]
         assert [t.moved for t in judged_changes(asked)] == [moves and e == 4 for e in range(8)]
