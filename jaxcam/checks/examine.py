@@ -164,7 +164,7 @@ def main(config: CheckConfig, console: Console) -> int:
         page = _page(config)
         if page.suffix == ".png":
             raise ConfigError(f"{page}: a page is no picture. Choose an --out that ends in .html.")
-        check_free(page, (absolute(config.target),))
+        check_free(page, (absolute(config.target),), writable=False)
         if not page.exists() and (overlays := page.with_suffix(".png")).exists():
             raise ConfigError(
                 f"{overlays} is there, where the page's pictures go. Choose another --out."

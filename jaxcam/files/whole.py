@@ -85,7 +85,11 @@ def write_together(texts: Mapping[Path, str]) -> None:
 
 
 def check_free(
-    path: Path, inputs: Iterator[Path] | tuple[Path, ...] = (), flag: str = "--out"
+    path: Path,
+    inputs: Iterator[Path] | tuple[Path, ...] = (),
+    flag: str = "--out",
+    *,
+    writable: bool = True,
 ) -> None:
     """Refuse a place for a page that cannot be written, or has an input or what we did not write.
 
@@ -93,6 +97,7 @@ def check_free(
         path: Where the page is to go.
         inputs: What is read to make it.
         flag: That named the place.
+        writable: Whether it must be possible to write there; else the page alone is lost.
 
     Raises:
         ConfigError: It may not be written; the message says why.
@@ -100,8 +105,9 @@ def check_free(
     for given in inputs:
         if path.exists() and given.exists() and path.samefile(given):
             raise ConfigError(f"{path} is read here, so it is not written. Choose another {flag}.")
-    if not path.exists():
+    if writable:
         _check_writable(path, flag)
+    if not path.exists():
         return
     if not path.is_file():
         raise ConfigError(f"{path} is there, and is no file. Choose another {flag}.")
@@ -109,7 +115,6 @@ def check_free(
         raise ConfigError(
             f"{path} is there, and jaxcam did not write it. Choose another {flag}, or move it away."
         )
-    _check_writable(path, flag)
 
 
 def _check_writable(path: Path, flag: str) -> None:

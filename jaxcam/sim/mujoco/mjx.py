@@ -20,8 +20,21 @@ from jaxcam.sim.mujoco.mjx_room import Room
 from jaxcam.sim.mujoco.scene import Scene
 from jaxcam.sim.types import Command, ControllerName, Start, State, Success
 
-_CPU_OPTIONS = {"xla_cpu_use_fusion_emitters": False}
-"""XLA's fusion emitters take six times as long over MJX-JAX's long chains of small operations."""
+
+@functools.cache
+def _compile_options() -> dict[str, bool] | None:
+    """Without XLA's fusion emitters on a CPU, where they can be left out: until JAX 0.12.
+
+    They take six times as long over MJX-JAX's long chains of small operations.
+    """
+    options = {"xla_cpu_use_fusion_emitters": False}
+    if jax.default_backend() != "cpu":
+        return None
+    try:
+        jax.jit(lambda x: x, compiler_options=options).lower(0.0).compile()
+    except jax.errors.JaxRuntimeError:  # no such option
+        return None
+    return options
 
 
 class MjxEngine(Engine):
@@ -66,8 +79,7 @@ class MjxEngine(Engine):
         self._scratch = functools.cache(
             lambda count: self.physics.scratch(count, contacts=contacts, rows=rows)
         )
-        on_cpu = jax.default_backend() == "cpu"
-        jit = functools.partial(jax.jit, compiler_options=_CPU_OPTIONS if on_cpu else None)
+        jit = functools.partial(jax.jit, compiler_options=_compile_options())
         # Functions of their own: those of other rooms are known by theirs.
         self._jit_begin = jit(lambda start: self._begin(start))
         self._jit_advance = jit(lambda *now: self._advance(*now))
