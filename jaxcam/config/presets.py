@@ -1,5 +1,6 @@
 """The values that a policy's presets give to the settings that are left open."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -150,3 +151,14 @@ def preset_of(policy: PolicyName, preset: PresetName, task: str) -> Preset:
         KeyError: The policy has no such preset.
     """
     return replace(PRESETS[policy, preset], **OF_TASKS.get((policy, preset, task), {}))
+
+
+def unsaid(own: Iterable[str], model: Iterable[str]) -> list[str]:
+    """A preset's changes to a network of which others, `name=value` too, say nothing.
+
+    Args:
+        own: The preset's.
+        model: The others.
+    """
+    names = {change.partition("=")[0] for change in model}
+    return [change for change in own if change.partition("=")[0] not in names]

@@ -5,7 +5,7 @@ policy.
 """
 
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, cast
 
 import tyro
 
@@ -42,6 +42,7 @@ from jaxcam.config.names import (
     Stem,
     Subject,
 )
+from jaxcam.config.presets import PRESETS, unsaid
 from jaxcam.config.sizes import rows_and_columns
 from jaxcam.errors import ConfigError
 
@@ -233,8 +234,14 @@ class TrainConfig:
     @classmethod
     def completed(cls, values: dict[str, Any]) -> dict[str, Any]:
         """Settings by name with those that older files lack, where that is not the default now."""
-        old = values.get("action_space") == "eef_abs" and "rotations" not in values
-        return values | {"rotations": "world"} if old else values
+        if values.get("action_space") == "eef_abs" and "rotations" not in values:
+            values = values | {"rotations": "world"}
+        named = str(values.get("policy")), str(values.get("preset"))
+        preset = PRESETS.get(named)  # pyright: ignore[reportArgumentType]
+        if preset is not None and isinstance(given := values.get("model"), list):
+            model = cast("list[Any]", given)
+            values = values | {"model": [*unsaid(preset.before, map(str, model)), *model]}
+        return values
 
     @property
     def conditions(self) -> Conditions:

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 from jaxcam.config.conditions import OPTICS, of_task
 from jaxcam.config.fields import fill, from_json, overrides
 from jaxcam.config.names import TaskName, names_of
-from jaxcam.config.presets import PRESETS, Preset, preset_of
+from jaxcam.config.presets import PRESETS, Preset, preset_of, unsaid
 from jaxcam.config.train import TrainConfig
 from jaxcam.errors import ConfigError
 from jaxcam.files.paths import read_text
@@ -80,7 +80,9 @@ def resolve(config: TrainConfig, *, accelerator: bool) -> TrainConfig:
     name, preset = policy_preset(config, accelerator)
     others = ("model", "before", "warmup", "steps_per_call")
     values = {k: v for k, v in vars(preset).items() if k not in others}
-    config = replace(config, preset=name, model=_completed(config.model, preset.model))
+    config = replace(
+        config, preset=name, model=(*unsaid(preset.model, config.model), *config.model)
+    )
     config = fill(config, **values | _of_subject(config.task))
     # XLA's CPU loops run convolutions many times slower.
     at_most = preset.steps_per_call if accelerator else 1
@@ -90,12 +92,6 @@ def resolve(config: TrainConfig, *, accelerator: bool) -> TrainConfig:
         steps_per_call=math.gcd(at_most, *(getattr(config, k) for k in _INTERVALS)),
     )
     return fill(config, run_dir=default_folder(config))
-
-
-def _completed(model: tuple[str, ...], own: tuple[str, ...]) -> tuple[str, ...]:
-    """Changes to a network, after those of a preset that they say nothing of."""
-    asked = overrides(model)
-    return (*(change for change in own if not asked.keys() & overrides([change])), *model)
 
 
 def _of_subject(task: str) -> Settings:
@@ -156,7 +152,8 @@ def stored_config(folder: Path) -> TrainConfig:
         text = read_text(folder / "config.json")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{folder / 'config.json'} cannot be read: {error}.") from error
-    return _of_run(text)
+    # Settings that are newer than the run: it was made with their preset's values.
+    return resolve(from_json(TrainConfig, text), accelerator=False)
 
 
 def unlike(config: TrainConfig, side: Mapping[str, Any]) -> list[str]:
@@ -166,19 +163,8 @@ def unlike(config: TrainConfig, side: Mapping[str, Any]) -> list[str]:
         config: The run's.
         side: What the checkpoint holds beside its arrays.
     """
-    own = _of_run(json.dumps(side["config"]))
+    own = resolve(from_json(TrainConfig, json.dumps(side["config"])), accelerator=False)
     return [str(d) for d in differences(own, config) if d.changes_program]
-
-
-def _of_run(text: str) -> TrainConfig:
-    """Settings that a run wrote down; those newer than it have the values of its preset.
-
-    Its network is what it was, also where its preset changes more by now.
-    """
-    config = from_json(TrainConfig, text)
-    if (preset := PRESETS.get((config.policy, config.preset))) is not None:
-        config = replace(config, model=_completed(config.model, preset.before))
-    return resolve(config, accelerator=False)
 
 
 def default_folder(config: TrainConfig) -> str:

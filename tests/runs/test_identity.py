@@ -130,6 +130,10 @@ def test_a_preset_may_change_the_network_and_says_so_in_the_runs_settings(tmp_pa
     same = attention("drop_proprio=False")
     assert [d for d in differences(read, same) if d.changes_program] == []
     assert "--model drop_proprio=false" in reproduce_command(read)
+    record = {"policy": "act", "preset": "attention", "model": ["fold=3"]}  # as results keep it
+    assert TrainConfig.completed(record)["model"] == ["drop_proprio=false", "fold=3"]
+    for odd in ({"policy": []}, {"model": 3}, {"preset": "none"}):
+        assert TrainConfig.completed(record | odd) == record | odd
     assert [d.field for d in differences(read, attention())] == ["model"]
 
 

@@ -85,7 +85,7 @@ def _drifts(
     config: DriftConfig,
     console: Console,
 ) -> Iterator[ViewDrift]:
-    """LookedAt at some episodes of each view, then once more around those in which it had moved."""
+    """Looks at some episodes of each view, then once more around those in which it had moved."""
     for view, episodes in by_view.items():
         some = [episodes[i] for i in spread_out(len(episodes), config.episodes)]
         looks: LookedAt = {}

@@ -105,11 +105,16 @@ class ViewDrift:
     def poses(self, run: list[Tested]) -> dict[int, np.ndarray]:
         """Where the camera stood in each episode from a run's first to its last, [4, 4].
 
-        Also in those between whose pictures say nothing, or at which nobody looked.
+        Also in those between whose pictures say nothing, or at which nobody looked, unless they
+        are given another pose than the run's.
         """
         first, last = run[0].asked.episode, run[-1].asked.episode
         given = self.left_out | {a.episode: a.given for a in self.silent}
-        between = {e: moved(p, run[0].change) for e, p in given.items() if first < e < last}
+        between = {
+            e: moved(pose, run[0].change)
+            for e, pose in given.items()
+            if first < e < last and any(np.allclose(pose, one.asked.given) for one in run)
+        }
         return dict(sorted((between | {one.asked.episode: one.pose for one in run}).items()))
 
 

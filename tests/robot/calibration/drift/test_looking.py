@@ -32,6 +32,8 @@ def test_a_run_has_its_pose_in_all_episodes_from_its_first_to_its_last():
     ]
     silent = [replace(found(np.zeros(6), np.zeros(6), support=0.1).asked, episode=6)]
     left_out = dict.fromkeys((0, 3, 5, 7, 9, 10, 11, 14), CAMERA)
+    known = ViewDrift("front", episodes, silent, OPTICS, left_out | {5: moved(CAMERA, change)})
+    assert list(known.poses(known.runs[0])) == [4, 6, 7, 8]  # 5 has been corrected before
     drift = ViewDrift("front", episodes, silent, OPTICS, left_out)
     poses = drift.poses(drift.runs[0])
     assert list(poses) == [4, 5, 6, 7, 8]
