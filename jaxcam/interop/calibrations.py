@@ -31,8 +31,6 @@ from jaxcam.rays.lens import PACKED
 
 NOTES = "meta/jaxcam.json"
 """A dataset's own file of calibrations, in its folder."""
-IMAGES = "observation.images."
-"""What LeRobot's features of views begin with, which files of calibrations may have too."""
 PAGE = "docs/calibrated-datasets.md"
 
 
@@ -118,9 +116,7 @@ def pose_before(recording: Recording, view: str, path: Path) -> str:
     notes = read_notes(own) if own.is_file() else None
     if notes is None or (path.exists() and own.samefile(path)):
         return ""
-    entries = [
-        of.get(view) or of.get(IMAGES + view) for of in (notes.views, *notes.episodes.values())
-    ]
+    entries = [of.get(view) for of in (notes.views, *notes.episodes.values())]
     return str(own) if any(entry and entry.pose for entry in entries) else ""
 
 
@@ -197,8 +193,8 @@ def _calibrated(
     where = f"episode '{episode.name}', view '{view}'"
     result = sight.calibration
     if result is None:
-        names, views = (episode.name, str(number)), (view, IMAGES + view)
-        entries = [(str(file.path), file.of(names, views)) for file in files]
+        names = episode.name, str(number)
+        entries = [(str(file.path), file.of(names, view)) for file in files]
         optics, pose = (
             _optics(sight, entries, where),
             _pose(sight, entries, names, (recording, episode)),
@@ -271,13 +267,8 @@ def _check(calibration: Calibration, sight: Sight, length: int, where: str) -> N
 
 def _check_names(file: CamerasFile, recording: Recording) -> None:
     """Refuses names of views and episodes that a recording does not have."""
-    for entries in (file.views, *file.episodes.values()):
-        if twice := [view for view in entries if IMAGES + view in entries]:
-            raise ConfigError(
-                f"{file.path}: {twice[0]!r:.80} and {IMAGES + twice[0]!r:.80} are one."
-            )
     for view in [*file.views, *(view for views in file.episodes.values() for view in views)]:
-        if view.removeprefix(IMAGES) not in recording.views:
+        if view not in recording.views:
             raise ConfigError(
                 f"{file.path}: unknown view {view!r:.80}{closest(view, recording.views)}."
             )
@@ -300,8 +291,7 @@ def _unused(file: CamerasFile, recording: Recording) -> list[str]:
     for view in recording.views:
         cameras = [e.sights[view].calibration for e in recording.episodes if view in e.sights]
         used = {c.source for c in cameras if c}
-        is_in = view in file.views or IMAGES + view in file.views
-        if is_in and used and not any(str(file.path) in source for source in used):
+        if view in file.views and used and not any(str(file.path) in source for source in used):
             first = "; ".join(sorted(used)) or "its columns"
             lines.append(f"{file.path} is not used for view {view}: {first} comes first.")
     return lines

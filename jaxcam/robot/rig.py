@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from jaxcam.errors import ConfigError
-from jaxcam.interop.calibrations import IMAGES
 from jaxcam.interop.cameras.files import read_cameras
 from jaxcam.interop.cameras.optics import Optics
 from jaxcam.interop.cameras.poses import PoseFile
@@ -59,8 +58,7 @@ def read_rig(path: Path, views: tuple[str, ...]) -> Rig:
             "stand now, in 'views'."
         )
     cameras = {}
-    for name, entry in file.views.items():
-        view = name.removeprefix(IMAGES)
+    for view, entry in file.views.items():
         if view not in views:
             continue
         pose = None
@@ -73,7 +71,7 @@ def read_rig(path: Path, views: tuple[str, ...]) -> Rig:
                     f"camera.{view}.base_from_camera."
                 )
         cameras[view] = FixedCamera(entry.optics, pose)
-    others = tuple(name for name in file.views if name.removeprefix(IMAGES) not in views)
+    others = tuple(name for name in file.views if name not in views)
     if not cameras:
         raise ConfigError(
             f"{path} has no camera of the policy's views ({', '.join(views)}), but of "

@@ -202,7 +202,8 @@ def full_name(config: TrainConfig, *, files: bool = True) -> str:
         config: Resolved settings.
         files: Whether it tells the folders of data and weights apart, too; version 0.1.0 did not.
     """
-    settings = identity(config) | usual_way(config.task)  # it trains nothing else
+    # The engine trains nothing else.
+    settings = identity(config) | {"engine": usual_way(config.task)["engine"]}
     parts = [settings[name] for name in _NAMED]
     parts += [f"{k}{_in_name(v)}" for k, v in changes(settings).items()]
     parts += [_digest(*paths)] if files and (paths := _paths(config)) else []

@@ -219,6 +219,7 @@ def test_the_engine_of_a_tasks_own_simulator_is_no_change():
     assert changes(push | {"engine": "sapien"}) == {}
     assert changes(push | {"engine": "sapien-gpu"}) == {"engine": "sapien-gpu"}
     assert "engine" not in full_name(resolve(TrainConfig(task="push"), accelerator=False))
+    assert "ensemble0.01" in full_name(changed(ensemble=0.01))
 
 
 def test_full_names_tell_runs_apart_in_words_of_a_folder():

@@ -39,6 +39,8 @@ from jaxcam.rays import invert
 
 POSES = ("base_from_camera", "world_from_camera", "grip_from_camera")
 """Entries of a view that say where it stands; one of them."""
+IMAGES = "observation.images."
+"""What LeRobot's features of views begin with, which files of calibrations may have too."""
 FORMAT = 1
 """Number of the form that is written and read."""
 NOTES = (
@@ -152,18 +154,15 @@ class CamerasFile:
     episodes: Mapping[str, Mapping[str, Entry]]
     """By an episode's number or name, then by the view's name."""
 
-    def of(self, episode: tuple[str, ...], view: tuple[str, ...]) -> Entry:
+    def of(self, episode: tuple[str, ...], view: str) -> Entry:
         """What it says of a view in an episode.
 
         Args:
             episode: Its names, the first that the file has counts.
-            view: Likewise.
+            view: Its name.
         """
         changes = next((self.episodes[name] for name in episode if name in self.episodes), {})
-        places = [
-            entries[name] for entries in (changes, self.views) for name in view if name in entries
-        ]
-        return places[0] if places else Entry(None, None)
+        return changes.get(view) or self.views.get(view) or Entry(None, None)
 
 
 def read_cameras(path: Path) -> CamerasFile:
@@ -217,6 +216,13 @@ def noted_actions(path: Path) -> ActionMeaning:
     return next((meaning for meaning in get_args(ActionMeaning) if meaning == space), "unknown")
 
 
+def _by_view(entries: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Entries by their views' names, without what LeRobot's begin with."""
+    if twice := [view for view in entries if IMAGES + view in entries]:
+        raise ConfigError(f"{where}: {twice[0]!r:.80} and {IMAGES + twice[0]!r:.80} are one.")
+    return {name.removeprefix(IMAGES): entry for name, entry in entries.items()}
+
+
 def _read(path: Path, content: Any) -> CamerasFile:
     where = str(path)
     if isinstance(content, dict):
@@ -230,14 +236,15 @@ def _read(path: Path, content: Any) -> CamerasFile:
         name = f"{where}: world_from_base"
         place = _one(place_of(entries.world_from_base, name, path.parent), name)
         base_from_world = np.asarray(invert(checked_pose(place, name)))
-    views = {name: _view(f"{where}: view '{name}'", view) for name, view in entries.views.items()}
+    given = _by_view(entries.views, where)
+    views = {name: _view(f"{where}: view '{name}'", view) for name, view in given.items()}
     episodes: dict[str, dict[str, Entry]] = {}
     for number, changes in entries.episodes.items():
         place = f"{where}: episode '{number}'"
         if not isinstance(changes, dict):
             raise ConfigError(f"{place}: expected views by their names.")
         episodes[number] = {}
-        for name, change in changes.items():
+        for name, change in _by_view(changes, place).items():
             own = _view(f"{place}, view '{name}'", change)
             merged = _merged(views.get(name, ViewEntries()), own)
             episodes[number][name] = _entry(

@@ -13,7 +13,7 @@ from jaxcam.errors import ConfigError, JaxcamError
 from jaxcam.files.json import read_json
 from jaxcam.files.locks import exclusive
 from jaxcam.files.whole import whole
-from jaxcam.interop.cameras.files import FORMAT, POSES, read_cameras
+from jaxcam.interop.cameras.files import FORMAT, IMAGES, POSES, read_cameras
 from jaxcam.interop.cameras.grips import GripEntries
 from jaxcam.rays.rotations import quaternion_from_matrix
 
@@ -35,6 +35,8 @@ class Changes:
     """By an episode's number, then by the view's name."""
     everywhere: tuple[str, ...] = ()
     """Views whose new pose was measured in all episodes: poses that single ones had go."""
+    called: Mapping[str, str] = field(default_factory=dict)
+    """Names of episodes by their numbers, which the file may have instead."""
     about: Mapping[str, Any] = field(default_factory=dict)
     """By the view's name, how well it was calibrated; goes into `about`, `calibration`."""
 
@@ -103,10 +105,11 @@ def check_updatable(path: Path) -> None:
 def update_cameras(path: Path, changes: Changes) -> Path:
     """Writes a file of calibrations, or changes one: other views and episodes in it stay.
 
-    The new file is read as `--cameras` would be before it takes the old one's place.
+    Views and episodes keep the names that they have in it. The new file is read as `--cameras`
+    would be before it takes the old one's place.
 
     Args:
-        path: Of the file.
+        path: Of the file, or of a link to it.
         changes: What becomes different.
 
     Returns:
@@ -116,20 +119,20 @@ def update_cameras(path: Path, changes: Changes) -> Path:
         ConfigError: What is there is no file of calibrations.
         DatasetError: It cannot be read, or its folder cannot be written to.
     """
+    path = path.resolve()
     with exclusive(path):
         content: dict[str, Any] = {"format": FORMAT}
         if path.exists():
             check_updatable(path)
             content = read_json(path)
         views = content.setdefault("views", {})
-        for name, entries in changes.views.items():
-            views[name] = _changed(views.get(name) or {}, entries)
+        _change(views, changes.views)
+        episodes = content.setdefault("episodes", {}) if changes.episodes else {}
         for number, own in changes.episodes.items():
-            episode = content.setdefault("episodes", {}).setdefault(number, {})
-            for name, entries in own.items():
-                episode[name] = _changed(episode.get(name) or {}, entries)
+            called = changes.called.get(number, number)
+            _change(episodes.setdefault(called if called in episodes else number, {}), own)
         for own in (e for e in content.get("episodes", {}).values() if e):
-            for name in changes.everywhere:
+            for name in (_name_in(own, view) for view in changes.everywhere):
                 own[name] = {k: v for k, v in own.pop(name, {}).items() if k not in PLACED}
                 if not own[name]:
                     del own[name]
@@ -153,7 +156,19 @@ def overruled(path: Path, view: str) -> list[str]:
     """
     episodes = read_cameras(path).episodes
     content = read_json(path).get("episodes", {})
-    return [e for e in episodes if set(content[e].get(view) or {}) & set(PLACED)]
+    own = {e: content[e].get(_name_in(content[e], view)) for e in episodes}
+    return [e for e, entries in own.items() if set(entries or {}) & set(PLACED)]
+
+
+def _name_in(entries: Mapping[str, Any], view: str) -> str:
+    """What a view is called in a file."""
+    return IMAGES + view if IMAGES + view in entries else view
+
+
+def _change(entries: dict[str, Any], changes: Mapping[str, ViewJson]) -> None:
+    for view, new in changes.items():
+        name = _name_in(entries, view)
+        entries[name] = _changed(entries.get(name) or {}, new)
 
 
 def _changed(old: ViewJson, new: ViewJson) -> ViewJson:

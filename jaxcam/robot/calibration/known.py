@@ -4,7 +4,7 @@ from pathlib import Path
 
 from jaxcam.data.recorded.recording import Recording
 from jaxcam.errors import ConfigError, closest
-from jaxcam.interop.calibrations import IMAGES, pose_before
+from jaxcam.interop.calibrations import pose_before
 from jaxcam.interop.cameras.files import CamerasFile, read_cameras
 from jaxcam.interop.cameras.optics import Optics
 
@@ -59,7 +59,7 @@ def optics_of_view(cameras: Path, view: str, size: tuple[int, int]) -> Optics:
     if not cameras.exists():
         raise ConfigError(f"{cameras}: no such file. {_remedy(view)}")
     file = read_cameras(cameras)
-    entry = file.of((), (view, IMAGES + view))
+    entry = file.of((), view)
     if entry.optics is None:
         raise ConfigError(f"{cameras}: {_lacks(file, view)} {_remedy(view)}")
     K = entry.optics.at(size[1], size[0], f"{cameras}: view '{view}'")
@@ -67,7 +67,7 @@ def optics_of_view(cameras: Path, view: str, size: tuple[int, int]) -> Optics:
 
 
 def _lacks(file: CamerasFile, view: str) -> str:
-    if view in file.views or IMAGES + view in file.views:
+    if view in file.views:
         return f"view '{view}' has no K."
     return f"no view '{view}'{closest(view, file.views) if file.views else '.'}"
 

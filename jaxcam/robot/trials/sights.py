@@ -42,7 +42,7 @@ def calibrations(
         hint = closest(placement, file.episodes) if file.episodes else ", nor any other"
         return {}, [f"{file.path} has no placement {placement!r} among its episodes{hint}"]
     for name in names:
-        entry: Entry = file.of((placement,), (name,))
+        entry: Entry = file.of((placement,), name)
         pose = entry.pose.of((placement,)) if entry.pose else None
         if entry.optics is None or pose is None or pose.ndim != 2:
             part = "K" if entry.optics is None else "single pose"

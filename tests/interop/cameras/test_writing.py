@@ -106,3 +106,27 @@ def test_poses_of_single_episodes_stay_unless_the_new_one_was_measured_in_all(tm
     episodes = json.loads(path.read_text())["episodes"]
     assert set(episodes["1"]["front"]) == set(FRONT)
     assert episodes["2"] == {}
+
+
+def test_views_and_episodes_keep_the_names_that_a_file_has(tmp_path):
+    """A second name would hide K, or be refused as one that is there already."""
+    path, link = tmp_path / "cameras.json", tmp_path / "link.json"
+    K = {"K": {"fx": 100, "fy": 100, "cx": 60, "cy": 40}, "size": [120, 80], "pixel_centers": 0.5}
+    name = "observation.images.front"
+    views = {name: K | pose_json(np.eye(4))}
+    content = {"format": 1, "views": views, "episodes": {"episode 3": {name: pose_json(POSE)}}}
+    path.write_text(json.dumps(content))
+    link.symlink_to(path)
+    assert overruled(path, "front") == ["episode 3"]
+    episodes = {"2": {"front": pose_json(POSE)}, "3": {"front": pose_json(np.eye(4))}}
+    called = {"2": "episode 2", "3": "episode 3"}
+    update_cameras(link, Changes({"front": pose_json(POSE)}, episodes, called=called))
+    assert link.is_symlink()
+    written = json.loads(path.read_text())
+    assert list(written["views"]) == [name]
+    assert list(written["episodes"]) == ["episode 3", "2"]
+    file = read_cameras(path)
+    for episode, pose in ((("2",), POSE), (("episode 3",), np.eye(4)), ((), POSE)):
+        entry = file.of(episode, "front")
+        assert entry.optics is not None
+        np.testing.assert_allclose(entry.pose.of(()), pose, atol=1e-6)

@@ -77,10 +77,13 @@ def fit_arm(arm: ArmModel, film: Film) -> ArmFit:
     rivals = int((overlaps > RIVAL * overlaps[0]).sum())
     for i in range(min(max(rivals, 2), len(poses))):
         start = Solution(poses[i], np.zeros(arm.joints), 0.0)
-        refined = _settled(refiner, refiner.refine(start), near)
+        refined = refiner.refine(start)
         tried.append((refined.support(near), i, refined))
         if rivals == 1 and refined.support(near) > CLEARLY:
             break
+    if max(one[0] for one in tried) <= CLEARLY:  # all of them, or they could not be compared
+        settled = [(i, _settled(refiner, refined, near)) for _, i, refined in tried]
+        tried = [(refined.support(near), i, refined) for i, refined in settled]
     tried.sort(key=lambda one: (-one[0], one[1]))
     support, index, best = tried[0]
     fit = ArmFit(best, support, float(overlaps[index]), film)
@@ -108,8 +111,6 @@ def fit_arm(arm: ArmModel, film: Film) -> ArmFit:
 def _settled(refiner: Refiner, refined: Refined, near: float) -> Refined:
     """A refinement that put little of the contour on edges, gone on with while that helps."""
     for _ in range(GO_ON):
-        if refined.support(near) > CLEARLY:
-            break
         again = refiner.refine(refined.solution, REACHES[2:])
         if again.support(near) < refined.support(near) + GAIN:
             break

@@ -22,6 +22,7 @@ from jaxcam.robot.calibration.drift.still import (
     doubt,
     limit_of,
     mean,
+    stands_out,
     still_episodes,
     swings,
 )
@@ -198,12 +199,20 @@ def judged_changes(asked: Sequence[AskedChange]) -> list[Tested]:
     wide = spreads + swings(np.stack([a.arm_at for a in clear]))
     still = still_episodes(changes, wide, limit_of(spreads))
     rest = changes - mean(changes[still], wide[still])[0]
-    return [
+    tested = [
         Tested(replace(a, covariance=spread), change, float(far), not stood)
         for a, change, spread, far, stood in zip(
             clear, rest, spreads, distances(rest, wide), still, strict=True
         )
     ]
+    # Those between two moves may have stood where most did.
+    numbers = {a.episode: row for row, a in enumerate(clear)}
+    for run in runs_of(tested):
+        own = np.array([numbers[one.asked.episode] for one in run])
+        if not stands_out(own, np.flatnonzero(still), changes, wide, limit_of(spreads)):
+            for row in own:
+                tested[row] = replace(tested[row], moved=False)
+    return tested
 
 
 def runs_of(episodes: Sequence[Tested]) -> list[list[Tested]]:

@@ -1,6 +1,7 @@
 """`calibrate drift`: which cameras moved, from which episode on, and where they stand since."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -58,7 +59,8 @@ def calibrate_drift(config: DriftConfig, console: Console) -> None:
     moved = any(drift.runs for drift in drifts)
     written = ""
     if config.write and moved:
-        update_cameras(cameras, pose_overrides(drifts))
+        called = {str(i): e.name for i, e in enumerate(recording.episodes)}
+        update_cameras(cameras, replace(pose_overrides(drifts), called=called))
         written = f"{cameras}: new poses of those episodes."
     elif moved:
         words.append("Run it with --write to put the new poses into the file, or calibrate anew.")

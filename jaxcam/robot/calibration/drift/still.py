@@ -27,8 +27,8 @@ DOUBTED = 4.0
 directions well."""
 LEAST_OFF = 0.1
 """Share of a contour that is off its edges on the best of pictures."""
-SHARE = 0.25
-"""Share of the episodes that are enough to be what others are held against."""
+SHARE, ENOUGH = 0.25, 4
+"""Share of the episodes, or their number, that is enough to be what others are held against."""
 EXPLAINED = 2.5
 """What most episodes may ask for together (centimetres or degrees) as the fault of joints."""
 NEXT_TO_NOTHING = 1 / 3
@@ -130,13 +130,31 @@ def still_episodes(changes: np.ndarray, spreads: np.ndarray, limit: float) -> np
             break
         sides = rows[run[0] : run[1]], np.delete(rows, slice(*run))
         kept, other = sorted(sides, key=len, reverse=True)
-        enough = len(other) >= max(SHARE * len(changes), 2) or len(kept) == 1
+        enough = len(other) >= max(min(SHARE * len(changes), ENOUGH), 2) or len(kept) == 1
         far, near = (float(size(mean(changes[s], spreads[s])[0])) for s in (kept, other))
         pushed = far > EXPLAINED or near < NEXT_TO_NOTHING * far or len(kept) == len(other)
         if enough and near < far and pushed:
             kept = other
         still[rows] = np.isin(rows, kept)
     return still
+
+
+def stands_out(
+    own: np.ndarray, rest: np.ndarray, changes: np.ndarray, spreads: np.ndarray, limit: float
+) -> bool:
+    """Whether some episodes ask together for something else than the rest.
+
+    Args:
+        own: Numbers of the episodes.
+        rest: Of those that they are held against.
+        changes: What episodes ask for, [n, 6].
+        spreads: Covariances, [n, 6, 6].
+        limit: See `limit_of`.
+    """
+    (one, covariance), (other, doubt_of_rest) = (mean(changes[s], spreads[s]) for s in (own, rest))
+    away = one - other
+    far = np.linalg.norm(away[:3]) > LEAST[0] or np.linalg.norm(away[3:]) > LEAST[1]
+    return bool(far and distances(away, covariance + doubt_of_rest + FLOOR) > limit)
 
 
 def _strangest(changes: np.ndarray, spreads: np.ndarray, limit: float) -> tuple[int, int] | None:

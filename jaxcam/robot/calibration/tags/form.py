@@ -1,6 +1,7 @@
 """`calibrate tags`: from tags at known places to poses in the file of calibrations."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -60,10 +61,13 @@ def calibrate_tags(config: TagsConfig, console: Console) -> None:
     is_dataset = len(config.source) == 1 and is_recording(source)
     with console.status("looking for tags"):
         if is_dataset:
-            located, notes = _of_recording(source, config, tags, cameras)
+            recording = read_recording(source)
+            located, notes = _of_recording(recording, config, tags, cameras)
+            called = {str(i): e.name for i, e in enumerate(recording.episodes)}
         else:
-            located, notes = _of_pictures(config, tags, cameras)
-    update_cameras(cameras, _changes(located, everywhere=is_dataset))
+            (located, notes), called = _of_pictures(config, tags, cameras), {}
+    changes = _changes(located, everywhere=is_dataset)
+    update_cameras(cameras, replace(changes, called=called))
     for one in located:
         if not one.episode and (others := overruled(cameras, one.view)):
             notes.append(overruled_note(one.view, others))
@@ -91,10 +95,9 @@ def _of_pictures(config: TagsConfig, tags: Tags, cameras: Path) -> tuple[list[Lo
 
 
 def _of_recording(
-    path: Path, config: TagsConfig, tags: Tags, cameras: Path
+    recording: Recording, config: TagsConfig, tags: Tags, cameras: Path
 ) -> tuple[list[Located], list[str]]:
     """The poses of a dataset's views in each episode: one for all where it never moved."""
-    recording = read_recording(path)
     if config.view:
         require_view(config.view, recording)
     views = (config.view,) if config.view else recording.views

@@ -122,3 +122,22 @@ def test_episodes_that_say_nothing_are_left_out():
     asked = [drawn(np.zeros(6), e, rng, support=0.1 if e == 2 else 0.8) for e in range(5)]
     assert [t.asked.episode for t in judged_changes(asked)] == [0, 1, 3, 4]
     assert judged_changes([asked[2]]) == []
+
+
+def test_an_episode_between_two_moves_that_stood_as_most_did_is_no_move():
+    change = np.r_[0.03, 0, 0, 0, 0, 0]
+    at = {e: 10 <= e < 30 and e not in (19, 22, 23) for e in range(40)}
+    answers = judged_changes([
+        drawn(change * moves, e, np.random.default_rng(e)) for e, moves in at.items()
+    ])  # fmt: skip
+    assert {one.asked.episode: one.moved for one in answers} == at
+
+
+@pytest.mark.parametrize(("count", "right"), [(20, 4), (200, 40)])
+def test_a_camera_that_was_pushed_early_is_wrong_in_most_episodes(count, right):
+    """The few before it ask for nothing: so the given pose is theirs."""
+    change = np.r_[0.018, 0, 0, 0, 0, 0]
+    answers = judged_changes([
+        drawn(change * (e >= right), e, np.random.default_rng(e), share=0.5) for e in range(count)
+    ])  # fmt: skip
+    assert [one.moved for one in answers] == [e >= right for e in range(count)]
