@@ -119,7 +119,8 @@ def check_free(
 
 def _check_writable(path: Path, flag: str) -> None:
     """Tries to write beside a place, or in the first folder above it that is there."""
-    folder = next(above for above in path.absolute().parents if above.exists())
+    place = path.absolute()
+    folder = next(above for above in (*place.parents, place) if above.exists())
     try:
         with tempfile.TemporaryFile(dir=folder):
             pass

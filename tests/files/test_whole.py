@@ -109,6 +109,8 @@ def test_a_place_that_cannot_be_written_is_told_before_the_work(tmp_path):
         with pytest.raises(ConfigError, match="cannot be written"):
             check_free(path)
     check_free(tmp_path / "new/folder/page.html")
+    with pytest.raises(ConfigError, match="is no file"):
+        check_free(Path("/"))
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
 

@@ -27,6 +27,7 @@ from jaxcam.rays import sample_poses, sapien_from_opencv
 from jaxcam.rays.rotations import matrix_from_quaternion
 from jaxcam.sim import make_task
 from jaxcam.sim.maniskill.memory import FAR, JOINTS, NEAR
+from jaxcam.sim.maniskill.meshes import lighten
 from jaxcam.sim.maniskill.scenery import SeenTable, sapien_pose, set_camera
 from jaxcam.sim.task import starts
 from jaxcam.sim.types import Start, State
@@ -59,7 +60,8 @@ class JaxcamEnv(BaseEnv):
         scene: `fixed` or `randomized`, as in `jaxcam.sim.task.Task.scene`.
         resolution: Height and width (pixels) of the task's cameras, `view_0` and so on.
         eye: Height and width (pixels) of one camera that takes their place: it looks along the
-            actor `eye`, which goes anywhere, on a card too.
+            actor `eye`, which goes anywhere, on a card too. Robot and floor are drawn with fewer
+            triangles.
         args: See ManiSkill.
         kwargs: See ManiSkill.
     """
@@ -109,6 +111,11 @@ class JaxcamEnv(BaseEnv):
         if self.world.name == "randomized":
             self._drawn_table = SeenTable(self.scene, self.table_scene, self.table_stretch)
         if self._eye_size:
+            for link in self.agent.robot.links:
+                for part in link._objs:
+                    lighten(part.entity)
+            for ground in self.table_scene.ground._objs:
+                lighten(ground)
             builder = self.scene.create_actor_builder()
             builder.initial_pose = sapien.Pose()
             self._eye = builder.build_kinematic(name="eye")

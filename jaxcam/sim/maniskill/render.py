@@ -61,8 +61,8 @@ class SapienPainter:
 
     @staticmethod
     def look() -> str:
-        """SAPIEN's version and ManiSkill's shader; drivers differ in last digits."""
-        return f"sapien{version('sapien')}-{SHADER}-{device().kind}"
+        """SAPIEN's version, ManiSkill's shader, few triangles; drivers differ in last digits."""
+        return f"sapien{version('sapien')}-{SHADER}-light-{device().kind}"
 
     @staticmethod
     def draws(world: World) -> bool:

@@ -16,6 +16,7 @@ from mani_skill.utils.structs import Pose
 from jaxcam.rays import sapien_from_opencv
 from jaxcam.rays.rotations import quaternion_from_matrix
 from jaxcam.sim.maniskill.memory import FAR, NEAR
+from jaxcam.sim.maniskill.meshes import drawn_part
 
 TABLE = (-0.12, 0.0, -0.9196429)
 """Where ManiSkill's table stands (m), turned by a quarter; its top is at height 0."""
@@ -96,20 +97,15 @@ def _yaw(angle: float) -> list[float]:
     return [float(np.cos(angle / 2)), 0.0, 0.0, float(np.sin(angle / 2))]
 
 
-def _drawn_part(entity: sapien.Entity) -> Any:
-    """What of an entity is rendered; None without a renderer."""
-    return entity.find_component_by_type(sapien.render.RenderBodyComponent)
-
-
 def _hide(entity: sapien.Entity) -> None:
-    body = _drawn_part(entity)
+    body = drawn_part(entity)
     if body is not None:
         body.visibility = 0.0
 
 
 def _whiten(entity: sapien.Entity) -> None:
     """Takes the pattern away, which would tell where the camera is."""
-    body = _drawn_part(entity)
+    body = drawn_part(entity)
     for shape in [] if body is None else body.render_shapes:
         for part in shape.parts:
             part.material.set_base_color([1.0, 1.0, 1.0, 1.0])

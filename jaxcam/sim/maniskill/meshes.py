@@ -1,0 +1,108 @@
+"""Fewer triangles for what is drawn: small pictures show few of a robot's 135,000.
+
+Needs the extra `jaxcam[maniskill]`.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import sapien
+import trimesh
+
+SHARE = 0.1
+"""Of a mesh's triangles that stay."""
+FEW = 300
+"""Triangles of meshes that stay as they are."""
+CAUTION = 3
+"""How slowly triangles are taken away (0 to 10, 0 the slowest): the more, the more shapes suffer."""
+CREASE = np.deg2rad(20)
+"""Between triangles (rad) that is seen as an edge; others look like one round surface."""
+
+
+class Mesh(NamedTuple):
+    """What SAPIEN draws of a part."""
+
+    vertices: np.ndarray
+    """Metres [n, 3]."""
+    triangles: np.ndarray
+    """Numbers of vertices [m, 3]."""
+    normals: np.ndarray
+    """Of the vertices [n, 3]."""
+    uvs: np.ndarray
+    """Places in a texture [n, 2]."""
+
+
+def drawn_part(entity: sapien.Entity) -> sapien.render.RenderBodyComponent | None:
+    """What of an entity is rendered; None without a renderer."""
+    return entity.find_component_by_type(sapien.render.RenderBodyComponent)
+
+
+def lighten(entity: sapien.Entity) -> None:
+    """Takes away most triangles of what is drawn of an entity; what is touched stays.
+
+    Args:
+        entity: A link of a robot, or a floor, best before it is first drawn.
+    """
+    body = drawn_part(entity)
+    if body is None:
+        return
+    light = sapien.render.RenderBodyComponent()
+    for shape in body.render_shapes:
+        for part in shape.parts:
+            mesh = Mesh(part.vertices, part.triangles, part.get_vertex_normal(),
+                        part.get_vertex_uv())  # fmt: skip
+            has_texture = part.material.base_color_texture is not None
+            drawn = sapien.render.RenderShapeTriangleMesh(
+                *fewer(mesh, has_texture=has_texture), part.material
+            )
+            drawn.local_pose = shape.local_pose
+            light.attach(drawn)
+    entity.remove_component(body)
+    entity.add_component(light)
+
+
+def fewer(mesh: Mesh, *, has_texture: bool) -> Mesh:
+    """A mesh that looks like another and has fewer triangles.
+
+    Rectangles get two; others a tenth, unless they have few or carry a texture.
+
+    Args:
+        mesh: With many triangles.
+        has_texture: Whether it matters where in a texture its vertices are.
+    """
+    corners = _corners(mesh)
+    if corners is not None:
+        return corners
+    if has_texture or len(mesh.triangles) <= FEW:
+        return mesh
+    solid = trimesh.Trimesh(mesh.vertices, mesh.triangles)
+    solid = solid.simplify_quadric_decimation(percent=1 - SHARE, aggression=CAUTION)
+    solid = trimesh.graph.smooth_shade(solid, angle=CREASE, facet_minarea=None)
+    vertices = np.asarray(solid.vertices, np.float32)
+    return Mesh(
+        vertices,
+        np.asarray(solid.faces, np.uint32),
+        np.asarray(solid.vertex_normals, np.float32),
+        np.zeros((len(vertices), 2), np.float32),
+    )
+
+
+def _corners(mesh: Mesh) -> Mesh | None:
+    """Two triangles instead of a grid that fills a level rectangle evenly; None if it is none."""
+    low, high = mesh.vertices.min(0), mesh.vertices.max(0)
+    sides = np.diff(mesh.vertices[mesh.triangles][..., :2], axis=1)
+    area = abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]).sum() / 2
+    if low[2] != high[2] or not np.isclose(area, np.prod(high[:2] - low[:2])):
+        return None
+    planar = np.c_[mesh.vertices[:, :2], np.ones(len(mesh.vertices))].astype(float)
+    uv_from_xy1 = np.linalg.lstsq(planar, mesh.uvs, rcond=None)[0]
+    if not np.allclose(planar @ uv_from_xy1, mesh.uvs, atol=1e-5):
+        return None
+    x, y = np.stack([low, high], 1)[:2]
+    corners = np.array([[x[i], y[j], low[2]] for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))])
+    return Mesh(
+        corners.astype(np.float32),
+        np.array([[0, 1, 2], [0, 2, 3]], np.uint32),
+        np.repeat(mesh.normals[:1], 4, 0),
+        (np.c_[corners[:, :2], np.ones(4)] @ uv_from_xy1).astype(np.float32),
+    )
