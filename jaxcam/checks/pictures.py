@@ -10,7 +10,7 @@ import numpy as np
 from jaxcam.checks.findings import Finding, bad, good, note
 from jaxcam.checks.overlays import PIXELS, Moment, chosen, draw, draw_over, moments, sheet
 from jaxcam.console.words import some
-from jaxcam.data.caches import is_blank
+from jaxcam.data.caches import is_black
 from jaxcam.data.demos import Demos
 from jaxcam.data.pictures import Pictures, cache_of
 from jaxcam.data.samples import Layout
@@ -24,7 +24,7 @@ from jaxcam.sim.world import World
 ALIKE = 2.0
 """Mean difference of two pictures, in levels of 255, up to which they are the same."""
 SCANNED = 512
-"""Pictures of a cache that are looked at for blank ones."""
+"""Pictures of a cache that are looked at for black ones."""
 
 TURNS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "red and blue are swapped (BGR)": lambda x: x[..., ::-1],
@@ -38,7 +38,7 @@ TURNS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 
 
 def check_caches(demos: Demos, task: Task, scene: World, count: int) -> Iterator[Finding]:
-    """Compares cached pictures of the dataset with pictures drawn anew, and looks for blank ones.
+    """Compares cached pictures of the dataset with pictures drawn anew, and looks for black ones.
 
     Args:
         demos: The dataset.
@@ -83,7 +83,7 @@ def check_caches(demos: Demos, task: Task, scene: World, count: int) -> Iterator
         if cache.has_sums and (damaged := np.flatnonzero(cache.damaged())).size:
             yield _damaged(what, path, damaged, pictures)
         else:
-            yield _blank(what, path, pictures, has_sums=cache.has_sums)
+            yield _black(what, path, pictures, has_sums=cache.has_sums)
         yield _compared(what, path, pictures, demos, task, scene, count)
 
 
@@ -120,11 +120,11 @@ def _damaged(what: str, path: Path, damaged: np.ndarray, cache: Pictures) -> Fin
     )
 
 
-def _blank(what: str, path: Path, cache: Pictures, *, has_sums: bool) -> Finding:
-    """Whether pictures are of one colour, or demonstrations stand still."""
+def _black(what: str, path: Path, cache: Pictures, *, has_sums: bool) -> Finding:
+    """Whether pictures are black, or demonstrations stand still."""
     first, cameras = cache.layout.first, cache.layout.cameras
     rows = _some_drawn(cache, SCANNED)
-    blank = [int(row) for row in rows if is_blank(cache.rgb[row])]
+    black = [int(row) for row in rows if is_black(cache.rgb[row])]
     frozen = [
         i
         for i, (a, b) in enumerate(pairwise(first))
@@ -132,14 +132,14 @@ def _blank(what: str, path: Path, cache: Pictures, *, has_sums: bool) -> Finding
         and cache.drawn[[a, b - cameras[i]]].all()
         and np.array_equal(cache.rgb[a], cache.rgb[b - cameras[i]])
     ]
-    if not blank and not frozen:
+    if not black and not frozen:
         total, drawn = len(cache.drawn), cache.drawn.sum()
         got = f"{total} pictures" if drawn == total else f"{drawn} of {total} pictures are drawn"
         sums = "all are what was drawn" if has_sums else "they get checksums when they are used"
-        return good(what, got=f"{got}; {sums}; of {len(rows)} looked at none is blank")
-    where = some([f"picture {row}" for row in blank] + [f"demo_{i}" for i in frozen])
+        return good(what, got=f"{got}; {sums}; of {len(rows)} looked at none is black")
+    where = some([f"picture {row}" for row in black] + [f"demo_{i}" for i in frozen])
     got = (
-        f"{len(blank)} of {len(rows)} pictures are blank; {len(frozen)} demonstrations stand still"
+        f"{len(black)} of {len(rows)} pictures are black; {len(frozen)} demonstrations stand still"
     )
     return bad(
         what,

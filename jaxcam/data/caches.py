@@ -24,9 +24,12 @@ PICTURES_AT_ONCE = 512
 _log = logging.getLogger(__name__)
 
 
-def is_blank(picture: np.ndarray) -> bool:
-    """Whether a picture [H, W, 3] is of one colour: a fault of its renderer."""
-    return not np.ptp(picture, (0, 1)).any()
+def is_black(picture: np.ndarray) -> bool:
+    """Whether a picture [H, W, 3] is all black: a fault of its renderer.
+
+    Of another colour it may be: a camera may stand so near to the robot that it sees nothing else.
+    """
+    return not picture.any()
 
 
 class Cache:
@@ -92,7 +95,7 @@ class Cache:
         rows = np.flatnonzero(self.drawn)
         self.sums[rows] = _sums(self.rgb, rows)
         for row in rows:
-            if is_blank(self.rgb[row]):
+            if is_black(self.rgb[row]):
                 self.sums[row] ^= 1  # which no checksum of it is
         self._old = False
         try:

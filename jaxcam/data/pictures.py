@@ -20,7 +20,7 @@ from rich.console import Console
 
 from jaxcam.config.sizes import rows_and_columns
 from jaxcam.console.progress import progress
-from jaxcam.data.caches import PICTURES_AT_ONCE, Cache, is_blank
+from jaxcam.data.caches import PICTURES_AT_ONCE, Cache, is_black
 from jaxcam.data.cameras import require_possible
 from jaxcam.data.demos import Demo, Demos
 from jaxcam.data.header import Header
@@ -67,7 +67,7 @@ def load_pictures(
     Raises:
         CameraError: If the cameras cannot have seen the demonstrations.
         DatasetError: If the disk has no room for them, or they are damaged.
-        SimError: If pictures come out blank.
+        SimError: If pictures come out black.
     """
     require_possible(demos)
     look = painter_of(_scene(demos.header)).look()
@@ -182,17 +182,17 @@ def _renderer(task_name: str, scene_name: str, resolution: int | str, lenses: bo
 
 
 def _draw_view(task: str, scene: str, resolution: int | str, view: View) -> np.ndarray:
-    """Pictures of a view; if some are blank, by another renderer, once."""
+    """Pictures of a view; if some are black, by another renderer, once."""
     for _ in range(2):
         pictures = _renderer(task, scene, resolution, view.lens is not None).rgb(view)
-        blank = sum(map(is_blank, pictures))
-        if not blank:
+        black = sum(map(is_black, pictures))
+        if not black:
             return pictures
         _renderer.cache_clear()
     raise SimError(
-        f"{blank} of {len(pictures)} pictures of a demonstration of {task}, {scene} are of one "
-        "colour, and again with another renderer. Free the graphics card's memory, or look where "
-        "the cameras are: python -m jaxcam.check DATASET. What was drawn is kept."
+        f"{black} of {len(pictures)} pictures of a demonstration of {task}, {scene} are black, and "
+        "again with another renderer. Free the graphics card's memory, or look where the cameras "
+        "are: python -m jaxcam.check DATASET. What was drawn is kept."
     )
 
 

@@ -46,12 +46,12 @@ def test_pictures_that_show_something_else(cached, pictures_of, change, cause):
     assert [f.mark for f in pictures_of(demos)] == ["good", "good"]
     pictures[...] = change(pictures[...].copy())
     pictures.flush()
-    blank, finding = pictures_of(demos)
-    assert (blank.mark, finding.mark) == ("good", "bad"), finding
+    black, finding = pictures_of(demos)
+    assert (black.mark, finding.mark) == ("good", "bad"), finding
     assert cause in finding.fix
 
 
-def test_blank_and_frozen_pictures(cached, pictures_of):
+def test_black_and_frozen_pictures(cached, pictures_of):
     demos, cache, pictures = cached
     _, second, third = Layout.of(demos).first[:3]
     pictures[0] = 0

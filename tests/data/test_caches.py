@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxcam.data.caches import Cache, is_blank
+from jaxcam.data.caches import Cache, is_black
 from jaxcam.errors import DatasetError
 
 SHAPE = (5, 2, 3, 3)
@@ -53,6 +53,8 @@ def test_pictures_of_another_size_are_refused(tmp_path):
         Cache(tmp_path / "a.npy", (5, 2, 4, 3))
 
 
-def test_a_picture_of_one_colour_is_blank():
-    assert is_blank(np.full((4, 4, 3), (1, 2, 3), np.uint8))
-    assert not is_blank(PICTURES[0])
+def test_a_picture_without_light_is_a_fault_and_one_of_one_colour_is_none():
+    """A camera beside the robot's arm sees nothing but its white plastic."""
+    assert is_black(np.zeros((4, 4, 3), np.uint8))
+    assert not is_black(np.full((4, 4, 3), (141, 142, 143), np.uint8))
+    assert not is_black(PICTURES[0])

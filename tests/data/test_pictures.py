@@ -354,6 +354,6 @@ def test_black_pictures_are_drawn_by_another_renderer_once(elsewhere, pictures, 
 
 def test_pictures_that_stay_black_are_refused(elsewhere, black):
     black(2)
-    with pytest.raises(SimError, match="of one colour, and again with another renderer"):
+    with pytest.raises(SimError, match="are black, and again with another renderer"):
         load_pictures(elsewhere, PIXELS)
     assert not [name for name in pictures_in(elsewhere) if name.endswith(".npy")]

@@ -20,7 +20,6 @@ from jaxcam.checks.recorded.places import Evidence, check_places
 from jaxcam.checks.recorded.stills import check_stills
 from jaxcam.console.progress import progress
 from jaxcam.console.words import some
-from jaxcam.data.caches import is_blank
 from jaxcam.data.recorded.parts import meaning_of
 from jaxcam.data.recorded.recording import Recording
 from jaxcam.reports.style import BLUE, FAINT, side_by_side, styled
@@ -142,7 +141,7 @@ def _pictures(looks: Looks, grip: Sequence[int] | None) -> Iterator[Judged]:
     for view in recording.views:
         for e, look in looks.of(view).items():
             total += len(look.grey)
-            if any(map(is_blank, look.grey)):
+            if any(not np.ptp(grey) for grey in look.grey):
                 blank.setdefault(view, []).append(e)
             elif _goes(recording, e, grip) and (look.grey == look.grey[0]).all():
                 frozen.setdefault(view, []).append(e)

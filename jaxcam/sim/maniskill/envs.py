@@ -27,8 +27,7 @@ from jaxcam.rays import sample_poses, sapien_from_opencv
 from jaxcam.rays.rotations import matrix_from_quaternion
 from jaxcam.sim import make_task
 from jaxcam.sim.maniskill.memory import FAR, JOINTS, NEAR
-from jaxcam.sim.maniskill.meshes import lighten
-from jaxcam.sim.maniskill.scenery import SeenTable, sapien_pose, set_camera
+from jaxcam.sim.maniskill.scenery import SeenTable, lighten, sapien_pose, set_camera
 from jaxcam.sim.task import starts
 from jaxcam.sim.types import Start, State
 

@@ -1,4 +1,4 @@
-"""Fewer triangles for what is drawn: small pictures show few of a robot's 135,000.
+"""Fewer triangles that look alike: small pictures show few of a robot's 135,000.
 
 Needs the extra `jaxcam[maniskill]`.
 """
@@ -6,7 +6,6 @@ Needs the extra `jaxcam[maniskill]`.
 from typing import NamedTuple
 
 import numpy as np
-import sapien
 import trimesh
 
 SHARE = 0.1
@@ -14,7 +13,7 @@ SHARE = 0.1
 FEW = 300
 """Triangles of meshes that stay as they are."""
 CAUTION = 3
-"""How slowly triangles are taken away (0 to 10, 0 the slowest): the more, the more shapes suffer."""
+"""How fast triangles are taken away (0 to 10); the faster, the more shapes suffer."""
 CREASE = np.deg2rad(20)
 """Between triangles (rad) that is seen as an edge; others look like one round surface."""
 
@@ -30,35 +29,6 @@ class Mesh(NamedTuple):
     """Of the vertices [n, 3]."""
     uvs: np.ndarray
     """Places in a texture [n, 2]."""
-
-
-def drawn_part(entity: sapien.Entity) -> sapien.render.RenderBodyComponent | None:
-    """What of an entity is rendered; None without a renderer."""
-    return entity.find_component_by_type(sapien.render.RenderBodyComponent)
-
-
-def lighten(entity: sapien.Entity) -> None:
-    """Takes away most triangles of what is drawn of an entity; what is touched stays.
-
-    Args:
-        entity: A link of a robot, or a floor, best before it is first drawn.
-    """
-    body = drawn_part(entity)
-    if body is None:
-        return
-    light = sapien.render.RenderBodyComponent()
-    for shape in body.render_shapes:
-        for part in shape.parts:
-            mesh = Mesh(part.vertices, part.triangles, part.get_vertex_normal(),
-                        part.get_vertex_uv())  # fmt: skip
-            has_texture = part.material.base_color_texture is not None
-            drawn = sapien.render.RenderShapeTriangleMesh(
-                *fewer(mesh, has_texture=has_texture), part.material
-            )
-            drawn.local_pose = shape.local_pose
-            light.attach(drawn)
-    entity.remove_component(body)
-    entity.add_component(light)
 
 
 def fewer(mesh: Mesh, *, has_texture: bool) -> Mesh:

@@ -1,4 +1,4 @@
-"""What is only seen in ManiSkill's environments: another table, a plain floor, and the cameras.
+"""What is only seen in ManiSkill's environments: table, floor, light robots, and cameras.
 
 Needs the extra `jaxcam[maniskill]`.
 """
@@ -16,7 +16,7 @@ from mani_skill.utils.structs import Pose
 from jaxcam.rays import sapien_from_opencv
 from jaxcam.rays.rotations import quaternion_from_matrix
 from jaxcam.sim.maniskill.memory import FAR, NEAR
-from jaxcam.sim.maniskill.meshes import drawn_part
+from jaxcam.sim.maniskill.meshes import Mesh, fewer
 
 TABLE = (-0.12, 0.0, -0.9196429)
 """Where ManiSkill's table stands (m), turned by a quarter; its top is at height 0."""
@@ -60,6 +60,30 @@ class SeenTable:
         self._actor.set_pose(Pose.create(tensor(_table(fixture))))
 
 
+def lighten(entity: sapien.Entity) -> None:
+    """Takes away most triangles of what is drawn of an entity; what is touched stays.
+
+    Args:
+        entity: A link of a robot, or a floor, best before it is first drawn.
+    """
+    body = _drawn_part(entity)
+    if body is None:
+        return
+    light = sapien.render.RenderBodyComponent()
+    for shape in body.render_shapes:
+        for part in shape.parts:
+            mesh = Mesh(part.vertices, part.triangles, part.get_vertex_normal(),
+                        part.get_vertex_uv())  # fmt: skip
+            has_texture = part.material.base_color_texture is not None
+            drawn = sapien.render.RenderShapeTriangleMesh(
+                *fewer(mesh, has_texture=has_texture), part.material
+            )
+            drawn.local_pose = shape.local_pose
+            light.attach(drawn)
+    entity.remove_component(body)
+    entity.add_component(light)
+
+
 def set_camera(sensor: Any, K: np.ndarray, world_from_camera: np.ndarray) -> None:
     """Gives one of ManiSkill's cameras intrinsics and a pose, from the next picture on.
 
@@ -97,15 +121,20 @@ def _yaw(angle: float) -> list[float]:
     return [float(np.cos(angle / 2)), 0.0, 0.0, float(np.sin(angle / 2))]
 
 
+def _drawn_part(entity: sapien.Entity) -> sapien.render.RenderBodyComponent | None:
+    """What of an entity is rendered; None without a renderer."""
+    return entity.find_component_by_type(sapien.render.RenderBodyComponent)
+
+
 def _hide(entity: sapien.Entity) -> None:
-    body = drawn_part(entity)
+    body = _drawn_part(entity)
     if body is not None:
         body.visibility = 0.0
 
 
 def _whiten(entity: sapien.Entity) -> None:
     """Takes the pattern away, which would tell where the camera is."""
-    body = drawn_part(entity)
+    body = _drawn_part(entity)
     for shape in [] if body is None else body.render_shapes:
         for part in shape.parts:
             part.material.set_base_color([1.0, 1.0, 1.0, 1.0])
