@@ -9,6 +9,7 @@ from flax import nnx
 from jax.nn.initializers import Initializer, variance_scaling
 from jax.typing import DTypeLike
 
+from jaxcam.models.convolution import convolve
 from jaxcam.models.policy import Key
 
 TORCH = variance_scaling(1 / 3, "fan_in", "uniform")
@@ -72,6 +73,7 @@ def conv(
         dtype=dtype,
         kernel_init=kernel_init,
         bias_init=uniform_bias(d_in * size * size),
+        conv_general_dilated=convolve,
         rngs=rngs,
     )
 

@@ -1,0 +1,108 @@
+"""A convolution whose kernel gets its gradient fast on a processor, too.
+
+XLA takes that gradient as a convolution with a window as large as the picture, which a processor
+computes several times slower than the convolution itself, and twenty times from 28 x 28 pixels on
+(docs/policies.md has what was measured). Here it is some matrix products for each picture, while
+the cache holds that picture.
+"""
+
+import functools
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+ROWS = 512
+"""Pixels that matrix products have at least: where pictures have fewer, of several pictures."""
+
+Pads = tuple[tuple[int, int], ...]
+
+
+def convolve(
+    x: jax.Array, kernel: jax.Array, strides: tuple[int, ...], padding: Any, **options: Any
+) -> jax.Array:
+    """What `flax.nnx.Conv` calls to convolve pictures.
+
+    Args:
+        x: Pictures [B, H, W, I].
+        kernel: Weights [h, w, I, O].
+        strides: Down and to the right (pixels).
+        padding: Pixels before and after, for both directions.
+        options: Others that `jax.lax.conv_general_dilated` has; all as they are by default.
+
+    Returns:
+        Pictures [B, H', W', O].
+    """
+    del options
+    return _convolve(x, kernel, tuple(strides), tuple((a, b) for a, b in padding))
+
+
+@functools.partial(jax.custom_vjp, nondiff_argnums=(2, 3))
+def _convolve(x: jax.Array, kernel: jax.Array, strides: tuple[int, ...], pads: Pads) -> jax.Array:
+    return _plain(x, kernel, strides, pads)
+
+
+def _plain(x: jax.Array, kernel: jax.Array, strides: tuple[int, ...], pads: Pads) -> jax.Array:
+    return lax.conv_general_dilated(
+        x, kernel, strides, pads, dimension_numbers=("NHWC", "HWIO", "NHWC")
+    )
+
+
+def _forward(
+    x: jax.Array, kernel: jax.Array, strides: tuple[int, ...], pads: Pads
+) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
+    return _plain(x, kernel, strides, pads), (x, kernel)
+
+
+def _backward(
+    strides: tuple[int, ...], pads: Pads, saved: tuple[jax.Array, jax.Array], gradient: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    x, kernel = saved
+    plain = functools.partial(_plain, strides=strides, pads=pads)
+    (of_x,) = jax.vjp(lambda x: plain(x, kernel), x)[1](gradient)
+    of_kernel = lax.platform_dependent(
+        x,
+        gradient,
+        cpu=functools.partial(_by_pictures, kernel=kernel.shape, strides=strides, pads=pads),
+        default=lambda x, gradient: jax.vjp(lambda k: plain(x, k), kernel)[1](gradient)[0],
+    )
+    return of_x, of_kernel.astype(kernel.dtype)
+
+
+_convolve.defvjp(_forward, _backward)
+
+
+def _by_pictures(
+    x: jax.Array,
+    gradient: jax.Array,
+    *,
+    kernel: tuple[int, ...],
+    strides: tuple[int, ...],
+    pads: Pads,
+) -> jax.Array:
+    """The kernel's gradient, a few pictures after the other."""
+    (high, wide, d_in, d_out), (count, rows, columns, _) = kernel, gradient.shape
+    down, right = strides
+    several = math.gcd(count, max(1, ROWS // (rows * columns)))
+
+    def add(total: jax.Array, part: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
+        x, gradient = part
+        x = jnp.pad(x, ((0, 0), *pads, (0, 0)))
+        across = [x[:, :, j : j + (columns - 1) * right + 1 : right] for j in range(wide)]
+        seen = jnp.concatenate(across, -1)
+        gradient = gradient.reshape(-1, d_out)
+        products = [
+            jnp.matmul(
+                seen[:, i : i + (rows - 1) * down + 1 : down].reshape(-1, wide * d_in).T,
+                gradient,
+                preferred_element_type=jnp.float32,
+            )
+            for i in range(high)
+        ]
+        return total + jnp.concatenate(products), None
+
+    parts = jax.tree.map(lambda a: a.reshape(-1, several, *a.shape[1:]), (x, gradient))
+    total, _ = lax.scan(add, jnp.zeros((high * wide * d_in, d_out)), parts)
+    return total.reshape(kernel)
