@@ -9,6 +9,9 @@
    PATH is the Python of an environment for `benchmarks/policies_torch.py`.
 3. With `--only encodings`: one train step of ACT `attention` (batch 64) by each way of
    conditioning, and its ratio to late fusion's; parameters likewise.
+4. With `--only kernels`: the gradient of a convolution's kernel, ours against XLA's, in shapes of
+   ACT `laptop` at 84 and 128 pixels, with one view and two, and of ResNet-18; and a whole update
+   of ACT `laptop` with one and with the other.
 
 Everything is measured in turn, round by round; medians count, and ratios are taken within a round.
 `cpu` is the time of all cores, which tells more than the clock does on a machine that has other
@@ -26,14 +29,16 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest import mock
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxcam.config.flags import PRESET
 from jaxcam.config.names import Conditioning, names_of
 from jaxcam.config.train import TrainConfig
-from jaxcam.models import FAMILIES, Policy, PolicySpec, make_policy
+from jaxcam.models import FAMILIES, Policy, PolicySpec, convolution, layers, make_policy
 from jaxcam.models.crops import window
 from jaxcam.models.diffusion.network import Diffusion
 from jaxcam.models.policy import blank_stats, pure
@@ -46,13 +51,25 @@ LAPTOP_BATCH = 64
 REFERENCE = "late"
 """The way of conditioning that the others are measured against."""
 ACTION, PROPRIO = 7, 9
+KERNELS = (
+    (64, 21, 32, 32, 3, 1),
+    (128, 21, 48, 32, 3, 1),
+    (64, 32, 32, 32, 3, 1),
+    (8, 256, 3, 64, 7, 2),
+    (8, 64, 64, 64, 3, 1),
+    (8, 32, 128, 128, 3, 1),
+    (8, 16, 256, 256, 3, 1),
+    (8, 8, 512, 512, 3, 1),
+)
+"""Batch, side of pictures, channels in and out, side of the kernel, stride."""
 SQUARE = 1024
 """Side of the matrices whose product tells what the machine can do."""
 
 
-def make(kind: str, preset: str, **changes: Any) -> tuple[Policy, TrainConfig]:
+def make(kind: str, preset: str, side: Any = PRESET, **changes: Any) -> tuple[Policy, TrainConfig]:
     """A policy of one camera, and the settings it is trained with."""
-    config = resolve(TrainConfig(policy=kind, preset=preset), accelerator=False)
+    asked = TrainConfig(policy=kind, preset=preset, resolution=side)
+    config = resolve(asked, accelerator=False)
     settings = replace(FAMILIES[kind].presets[preset], **changes)
     size = config.resolution
     spec = PolicySpec(ACTION, PROPRIO, 1, size, size, settings.chunk, settings.obs_steps)
@@ -203,6 +220,54 @@ def encodings(rounds: int) -> dict[str, dict[str, float]]:
     }
 
 
+def kernels(rounds: int) -> dict[str, dict[str, float]]:
+    """Gradients of kernels, and whole updates, ours in turn with XLA's; ratios ours to XLA's."""
+    measured = {}
+    for batch, side, d_in, d_out, size, stride in KERNELS:
+        x = jax.random.normal(jax.random.key(0), (batch, side, side, d_in))
+        kernel = jnp.ones((size, size, d_in, d_out))
+        ours, theirs = (
+            gradient_of(convolve, x, kernel, stride) for convolve in (convolution.convolve, plain)
+        )
+        name = f"{batch} of {side} x {side} x {d_in}, {size} x {size} x {d_out}, stride {stride}"
+        measured[name] = in_turn(ours, theirs, rounds)
+    for side in (84, 128):
+        updates = []
+        for convolve in (convolution.convolve, plain):
+            with mock.patch.object(layers, "convolve", convolve):
+                updates.append(step_of(*make("act", "laptop", side), LAPTOP_BATCH))
+        measured[f"update at {side}"] = in_turn(*updates, rounds)
+    return measured
+
+
+def plain(x: jax.Array, kernel: jax.Array, strides: Any, pads: Any, **_: Any) -> jax.Array:
+    """XLA's convolution, with its own gradients."""
+    return jax.lax.conv_general_dilated(
+        x, kernel, strides, pads, dimension_numbers=("NHWC", "HWIO", "NHWC")
+    )
+
+
+def gradient_of(
+    convolve: Callable[..., jax.Array], x: jax.Array, kernel: jax.Array, stride: int
+) -> Callable[[], Times]:
+    """A function that takes the gradient of a kernel; compiled already."""
+    pad = (len(kernel) - 1) // 2
+    where = (stride,) * 2, ((pad, pad),) * 2
+    above = jnp.ones_like(convolve(x, kernel, *where))
+    take = jax.jit(jax.grad(lambda k, x, above: (convolve(x, k, *where) * above).sum()))
+    timed(lambda: take(kernel, x, above))
+    return lambda: timed(lambda: take(kernel, x, above))
+
+
+def in_turn(
+    ours: Callable[[], Times], theirs: Callable[[], Times], rounds: int
+) -> dict[str, float]:
+    """Times of two things, and their ratio."""
+    times = [(ours(), theirs()) for _ in range(rounds)]
+    here, there = ([pair[i] for pair in times] for i in range(2))
+    return {**milliseconds("jax", here), **milliseconds("xla", there), **compared(here, there)}
+
+
 class Torch:
     """The same step in a process of another Python, which waits while others are measured."""
 
@@ -256,7 +321,7 @@ def main() -> None:
     parser.add_argument("--torch-threads", type=int, help="its threads; one waits for no other")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--preset", default="laptop", help="of which actions are sampled")
-    parser.add_argument("--only", choices=("sampling", "act", "diffusion", "encodings"))
+    parser.add_argument("--only", choices=("sampling", "act", "diffusion", "encodings", "kernels"))
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
     measured = {}
@@ -267,6 +332,8 @@ def main() -> None:
             measured[kind] = training(kind, args.torch_python, args.rounds, args.torch_threads)
     if args.only == "encodings":
         measured |= encodings(args.rounds)
+    if args.only == "kernels":
+        measured |= kernels(args.rounds)
     if args.json:
         print(json.dumps(measured, indent=2))
         return
