@@ -148,9 +148,9 @@ def space_to_depth(x: jax.Array, size: int) -> jax.Array:
 class SmallEncoder(nnx.Module):
     """A stride-4 encoder that a CPU trains quickly.
 
-    XLA's CPU gradients of strided convolutions are several times slower than its matrix products,
-    those of stride-1 convolutions are not: so pixels are folded into channels once, and everything
-    after that has stride 1. A layer norm costs as much as a convolution; there is one, at the end.
+    XLA's CPU gradients of strided convolutions are slow: so pixels are folded into channels once,
+    and everything after that has stride 1. A layer norm costs as much as a convolution; there is
+    one, at the end.
     """
 
     stride = 4
