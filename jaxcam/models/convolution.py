@@ -62,13 +62,13 @@ def _backward(
     x, kernel = saved
     plain = functools.partial(_plain, strides=strides, pads=pads)
     (of_x,) = jax.vjp(lambda x: plain(x, kernel), x)[1](gradient)
-    of_kernel = lax.platform_dependent(
-        x,
-        gradient,
-        cpu=functools.partial(_by_pictures, kernel=kernel.shape, strides=strides, pads=pads),
-        default=lambda x, gradient: jax.vjp(lambda k: plain(x, k), kernel)[1](gradient)[0],
-    )
-    return of_x, of_kernel.astype(kernel.dtype)
+
+    def by_xla(x: jax.Array, gradient: jax.Array) -> jax.Array:
+        return jax.vjp(lambda k: plain(x, k), kernel)[1](gradient)[0]
+
+    ours = functools.partial(_by_pictures, kernel=kernel.shape, strides=strides, pads=pads)
+    cpu = ours if jax.device_count() == 1 else by_xla  # pictures of several devices go together
+    return of_x, lax.platform_dependent(x, gradient, cpu=cpu, default=by_xla)
 
 
 _convolve.defvjp(_forward, _backward)
@@ -85,7 +85,7 @@ def _by_pictures(
     """The kernel's gradient, a few pictures after the other."""
     (high, wide, d_in, d_out), (count, rows, columns, _) = kernel, gradient.shape
     down, right = strides
-    several = math.gcd(count, max(1, ROWS // (rows * columns)))
+    several = math.gcd(count, max(1, ROWS // max(1, rows * columns)))
 
     def add(total: jax.Array, part: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
         x, gradient = part
@@ -104,5 +104,5 @@ def _by_pictures(
         return total + jnp.concatenate(products), None
 
     parts = jax.tree.map(lambda a: a.reshape(-1, several, *a.shape[1:]), (x, gradient))
-    total, _ = lax.scan(add, jnp.zeros((high * wide * d_in, d_out)), parts)
-    return total.reshape(kernel)
+    total, _ = lax.scan(add, jnp.zeros((high * wide * d_in, d_out), jnp.float32), parts)
+    return total.reshape(kernel).astype(x.dtype)

@@ -1,10 +1,16 @@
 """Our kernel gradients are XLA's."""
 
+import os
+import subprocess
+import sys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from policy_inputs import make_batch, make_plain, shapes, tiny
 
+from jaxcam.models import ACT_PRESETS
 from jaxcam.models.convolution import convolve
 
 
@@ -46,7 +52,9 @@ def test_half_precision_is_summed_in_full():
     x, k = (numbers(i, *s).astype(jnp.bfloat16) for i, s in ((0, (64, 8, 8, 4)), (1, (3, 3, 4, 4))))
     pads = [(1, 1), (1, 1)]
     above = jnp.ones((64, 8, 8, 4), jnp.bfloat16)
-    of_kernel = jax.vjp(lambda k: convolve(x, k, (1, 1), pads), k)[1](above)[0]
+    of_kernel = jax.jit(lambda k: jax.vjp(lambda k: convolve(x, k, (1, 1), pads), k)[1](above)[0])(
+        k
+    )
     wide = x.astype(jnp.float32), k.astype(jnp.float32), above.astype(jnp.float32)
     exact = jax.vjp(lambda k: plain(wide[0], k, (1, 1), pads), wide[1])[1](wide[2])[0]
     assert of_kernel.dtype == jnp.bfloat16
@@ -64,3 +72,39 @@ def test_it_maps_over_batches():
     together = jax.vmap(slope)(x, k)
     one_by_one = jnp.stack([slope(x[i], k[i]) for i in range(2)])
     np.testing.assert_allclose(together, one_by_one, rtol=1e-4, atol=1e-3)
+
+
+@pytest.mark.parametrize("preset", ["laptop", "paper"])
+def test_policies_learn_in_half_precision(preset):
+    """Shapes alone, as an update is traced on a CPU."""
+    way = ACT_PRESETS[preset].conditioning
+    policy = make_plain(tiny(preset, way, compute_dtype="bfloat16"))
+    params = shapes(policy)
+
+    def loss(params):
+        return policy.loss(params, make_batch(), jax.random.key(0))[0]
+
+    slopes = jax.eval_shape(jax.jit(jax.grad(loss)), params)
+    assert jax.tree.map(lambda x: (x.shape, x.dtype), slopes) == jax.tree.map(
+        lambda x: (x.shape, x.dtype), params
+    )
+
+
+def test_on_several_devices_each_sums_its_own_pictures():
+    """A loop over a batch that several devices share would bring all pictures to all of them."""
+    code = """
+import jax, jax.numpy as jnp
+from jax.sharding import Mesh, NamedSharding, PartitionSpec as P
+from jaxcam.models.convolution import convolve
+mesh = Mesh(jax.devices(), "data")
+apart = jax.device_put(jnp.ones((8, 8, 8, 4)), NamedSharding(mesh, P("data")))
+kernel = jnp.ones((3, 3, 4, 4))
+take = jax.jit(jax.grad(lambda k, x: (convolve(x, k, (1, 1), [(1, 1)] * 2) ** 2).sum()))
+text = take.lower(kernel, apart).compile().as_text()
+assert len(jax.devices()) == 2
+assert "all-gather" not in text and "all-reduce" in text
+"""
+    flags = "--xla_force_host_platform_device_count=2"
+    env = os.environ | {"XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
+    ran = subprocess.run([sys.executable, "-c", code], check=False, env=env, stderr=subprocess.PIPE)
+    assert ran.returncode == 0, ran.stderr.decode()

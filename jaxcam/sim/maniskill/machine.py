@@ -14,7 +14,13 @@ from typing import NamedTuple, Self
 
 from jaxcam.errors import SimError
 
-PACKAGES = {"mani_skill": "mani-skill", "sapien": "sapien", "torch": "torch"}
+PACKAGES = {
+    "mani_skill": "mani-skill",
+    "sapien": "sapien",
+    "torch": "torch",
+    "trimesh": "trimesh",
+    "fast_simplification": "fast-simplification",
+}
 """Modules of the extra, and the distributions they come from."""
 INSTALL = "pip install 'jaxcam[maniskill]'"
 VULKAN = """Without a graphics card, Mesa's software driver lavapipe (24.3 or newer) will do:

@@ -3,13 +3,16 @@
 Needs the extra `jaxcam[maniskill]`.
 """
 
+import functools
 from typing import NamedTuple
 
 import numpy as np
 import trimesh
 
-SHARE = 0.1
-"""Of a mesh's triangles that stay."""
+SHARES = 0.1, 0.4
+"""Of a mesh's triangles that stay: the first with which it keeps its area, else all stay."""
+AREA = 0.01
+"""Share of its area by which a mesh may change: open shells lose whole faces, or get new ones."""
 FEW = 300
 """Triangles of meshes that stay as they are."""
 CAUTION = 3
@@ -34,7 +37,8 @@ class Mesh(NamedTuple):
 def fewer(mesh: Mesh, *, has_texture: bool) -> Mesh:
     """A mesh that looks like another and has fewer triangles.
 
-    Rectangles get two; others a tenth, unless they have few or carry a texture.
+    Rectangles get two; others a tenth or two fifths, unless they have few, carry a texture, or
+    would change by more than 1 % of their area.
 
     Args:
         mesh: With many triangles.
@@ -45,15 +49,30 @@ def fewer(mesh: Mesh, *, has_texture: bool) -> Mesh:
         return corners
     if has_texture or len(mesh.triangles) <= FEW:
         return mesh
-    solid = trimesh.Trimesh(mesh.vertices, mesh.triangles)
-    solid = solid.simplify_quadric_decimation(percent=1 - SHARE, aggression=CAUTION)
-    solid = trimesh.graph.smooth_shade(solid, angle=CREASE, facet_minarea=None)
-    vertices = np.asarray(solid.vertices, np.float32)
+    light = _simplified(mesh.vertices.tobytes(), mesh.triangles.astype(np.int64).tobytes())
+    return light or mesh
+
+
+@functools.lru_cache(64)
+def _simplified(vertices: bytes, triangles: bytes) -> Mesh | None:
+    """A mesh with fewer triangles; None if none looks like it. Remembered: worlds have the same."""
+    solid = trimesh.Trimesh(
+        np.frombuffer(vertices, np.float32).reshape(-1, 3),
+        np.frombuffer(triangles, np.int64).reshape(-1, 3),
+    )
+    for share in SHARES:
+        light = solid.simplify_quadric_decimation(percent=1 - share, aggression=CAUTION)
+        if abs(light.area / solid.area - 1) <= AREA:
+            break
+    else:
+        return None
+    smooth = trimesh.graph.smooth_shade(light, angle=CREASE, facet_minarea=None)
+    corners = np.asarray(smooth.vertices, np.float32)
     return Mesh(
-        vertices,
-        np.asarray(solid.faces, np.uint32),
-        np.asarray(solid.vertex_normals, np.float32),
-        np.zeros((len(vertices), 2), np.float32),
+        corners,
+        np.asarray(smooth.faces, np.uint32),
+        np.asarray(smooth.vertex_normals, np.float32),
+        np.zeros((len(corners), 2), np.float32),
     )
 
 

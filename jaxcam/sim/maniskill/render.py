@@ -61,8 +61,9 @@ class SapienPainter:
 
     @staticmethod
     def look() -> str:
-        """SAPIEN's version, ManiSkill's shader, few triangles; drivers differ in last digits."""
-        return f"sapien{version('sapien')}-{SHADER}-light-{device().kind}"
+        """SAPIEN's version, ManiSkill's shader, what made meshes light; drivers differ a little."""
+        light = f"light{version('fast-simplification')}"
+        return f"sapien{version('sapien')}-{SHADER}-{light}-{device().kind}"
 
     @staticmethod
     def draws(world: World) -> bool:

@@ -63,3 +63,15 @@ def test_a_body_keeps_its_shape_its_round_side_and_its_edge(meshes):
     assert above[is_down].max() < 1e-3
     away = (light.normals * light.vertices).sum(1) / radius
     assert away[~is_down].min() > 0.95
+
+
+def test_an_open_shell_that_would_change_stays(meshes):
+    """As parts of ManiSkill's wrist, of which a disc went and whose holes were closed."""
+    y, x = np.meshgrid(np.arange(41) / 40, np.arange(41) / 40, indexing="ij")
+    discs = [np.stack([x + 2 * i, y, 0.3 * np.sin(40 * x) * np.sin(40 * y)], -1) for i in range(3)]
+    vertices = np.concatenate([d.reshape(-1, 3) for d in discs]).astype(np.float32)
+    first = (np.arange(40)[:, None] * 41 + np.arange(40)).reshape(-1, 1)
+    one = (first + np.array([0, 1, 42, 0, 42, 41])).reshape(-1, 3)
+    triangles = np.concatenate([one + 1681 * i for i in range(3)])
+    shell = meshes.Mesh(vertices, triangles, vertices, vertices[:, :2])
+    assert meshes.fewer(shell, has_texture=False) is shell
