@@ -91,11 +91,11 @@ def _by_pictures(
         x, gradient = part
         x = jnp.pad(x, ((0, 0), *pads, (0, 0)))
         across = [x[:, :, j : j + (columns - 1) * right + 1 : right] for j in range(wide)]
-        seen = jnp.concatenate(across, -1)
+        wider = jnp.concatenate(across, -1)
         gradient = gradient.reshape(-1, d_out)
         products = [
             jnp.matmul(
-                seen[:, i : i + (rows - 1) * down + 1 : down].reshape(-1, wide * d_in).T,
+                wider[:, i : i + (rows - 1) * down + 1 : down].reshape(-1, wide * d_in).T,
                 gradient,
                 preferred_element_type=jnp.float32,
             )

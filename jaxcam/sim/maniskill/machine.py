@@ -19,7 +19,7 @@ PACKAGES = {
     "sapien": "sapien",
     "torch": "torch",
     "trimesh": "trimesh",
-    "fast_simplification": "fast-simplification",
+    "pyfqmr": "pyfqmr",
 }
 """Modules of the extra, and the distributions they come from."""
 INSTALL = "pip install 'jaxcam[maniskill]'"

@@ -62,7 +62,7 @@ class SapienPainter:
     @staticmethod
     def look() -> str:
         """SAPIEN's version, ManiSkill's shader, what made meshes light; drivers differ a little."""
-        light = f"light{version('fast-simplification')}"
+        light = f"light{version('pyfqmr')}"
         return f"sapien{version('sapien')}-{SHADER}-{light}-{device().kind}"
 
     @staticmethod

@@ -121,7 +121,7 @@ def _yaw(angle: float) -> list[float]:
     return [float(np.cos(angle / 2)), 0.0, 0.0, float(np.sin(angle / 2))]
 
 
-def _drawn_part(entity: sapien.Entity) -> sapien.render.RenderBodyComponent | None:
+def _drawn_part(entity: sapien.Entity) -> Any:
     """What of an entity is rendered; None without a renderer."""
     return entity.find_component_by_type(sapien.render.RenderBodyComponent)
 

@@ -320,7 +320,7 @@ def test_environments_are_of_use_in_maniskill_alone(environments, name, scene):
     [("push", "fixed"), ("lift_upright", "randomized"), ("roll_ball", "randomized")],
 )
 def test_our_pictures_are_maniskills_but_for_triangles_that_nobody_sees(environments, name, scene):
-    """A tenth of the robot's triangles: silhouettes move by less than a pixel."""
+    """A sixth of the triangles: outlines move by less than a pixel."""
     task = make_task(name)
     world, views = task.scene(scene), task.views
     start = starts(task, world, [7] * views)
