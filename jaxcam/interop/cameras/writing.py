@@ -35,10 +35,10 @@ class Changes:
     """By an episode's number, then by the view's name."""
     everywhere: tuple[str, ...] = ()
     """Views whose new pose was measured in all episodes: poses that single ones had go."""
-    called: Mapping[str, str] = field(default_factory=dict)
-    """Names of episodes by their numbers, which the file may have instead."""
     about: Mapping[str, Any] = field(default_factory=dict)
     """By the view's name, how well it was calibrated; goes into `about`, `calibration`."""
+    called: Mapping[str, str] = field(default_factory=dict)
+    """Names of episodes by their numbers, which the file may have instead."""
 
 
 def optics_json(
