@@ -22,7 +22,7 @@ def robot():
 def scene(placement, start=0):
     file, cameras = read_cameras(CAMERAS), {}
     for name in NAMES:
-        entry = file.of((placement,), (name,))
+        entry = file.of((placement,), name)
         K = entry.optics.at(SIDE, SIDE, name)
         cameras[name] = (K, (SIDE, SIDE), entry.pose.of((placement,)))
     return Setup(start, "", placement, cameras)
