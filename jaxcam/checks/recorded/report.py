@@ -26,6 +26,8 @@ from jaxcam.reports.style import BLUE, FAINT, side_by_side, styled
 
 LOOKED = 24
 """Episodes whose pictures are decoded, evenly spread; more where a change is looked for."""
+BLACK = 4
+"""Grey level up to which a picture of one colour is black, which films keep no better."""
 WAY = 0.03
 """Distance (m) that the grip goes in an episode in which pictures cannot all be the same."""
 CAPTION = (
@@ -129,29 +131,38 @@ def _look(looks: Looks, episodes: Sequence[int], console: Console | None) -> Non
 
 
 def _pictures(looks: Looks, grip: Sequence[int] | None) -> Iterator[Judged]:
-    """Whether pictures can be decoded, are not of one colour, and move."""
+    """Whether pictures can be decoded, are not black or mostly of one colour, and move.
+
+    Some of one colour may be right: a camera may stand so near to the robot that it sees nothing
+    else for a while.
+    """
     recording = looks.recording
     for (episode, view), why in looks.broken.items():
         where = f"view {view}, {names(recording, [episode])}"
         fix = "Copy that file anew, or leave the episode out."
         yield Judged(bad("pictures", got=why, where=where, fix=fix), (episode,))
+    black: dict[str, list[int]] = {}
     blank: dict[str, list[int]] = {}
     frozen: dict[str, list[int]] = {}
     total = 0
     for view in recording.views:
         for e, look in looks.of(view).items():
             total += len(look.grey)
-            if any(not np.ptp(grey) for grey in look.grey):
+            flat = [grey for grey in look.grey if not np.ptp(grey)]
+            if any(grey.max() <= BLACK for grey in flat):
+                black.setdefault(view, []).append(e)
+            elif 2 * len(flat) > len(look.grey):
                 blank.setdefault(view, []).append(e)
             elif _goes(recording, e, grip) and (look.grey == look.grey[0]).all():
                 frozen.setdefault(view, []).append(e)
-    for words, odd in (("of one colour", blank), ("all the same", frozen)):
+    kinds = ("black", black), ("of one colour", blank), ("all the same", frozen)
+    for words, odd in kinds:
         for view, episodes in odd.items():
             where = f"view {view}, {names(recording, episodes)}"
             fix = "Leave those out: a policy learns from them to ignore its eyes."
             finding = bad("pictures", got=f"pictures are {words}", where=where, fix=fix)
             yield Judged(finding, tuple(episodes))
-    if not (looks.broken or blank or frozen):
+    if not (looks.broken or black or blank or frozen):
         yield Judged(
             good("pictures", got=f"{total} looked at; none is blank, no film stands still")
         )
