@@ -137,7 +137,7 @@ def update_cameras(path: Path, changes: Changes) -> Path:
                 if not own[name]:
                     del own[name]
         if changes.about:
-            content["about"] = _about(content.get("about"), changes.about)
+            content["about"] = _about(content.get("about"), changes)
         with whole(path) as part:
             part.write_text(_text(content), encoding="utf-8")
             try:
@@ -176,16 +176,33 @@ def _changed(old: ViewJson, new: ViewJson) -> ViewJson:
     return {k: v for k, v in old.items() if k not in gone} | new
 
 
-def _about(old: Any, new: Mapping[str, Any]) -> dict[str, Any]:
+def _about(old: Any, changes: Changes) -> dict[str, Any]:
     about = dict(old) if isinstance(old, dict) else {} if old is None else {"before": old}
     calibration = about.get("calibration")
     calibration = dict(calibration) if isinstance(calibration, dict) else {}
     date = datetime.date.today().isoformat()
-    for view, entries in new.items():
+    for view, entries in changes.about.items():
         known = calibration.get(view)
         known = dict(known) if isinstance(known, dict) else {}
-        calibration[view] = known | {k: {"date": date, **v} for k, v in entries.items()}
+        if view in changes.everywhere:  # poses of single episodes are gone
+            known = {k: v for k, v in known.items() if _episodes_of(v) is None}
+        notes = {k: _with_episodes(known.get(k), v) for k, v in entries.items()}
+        calibration[view] = known | {k: {"date": date, **v} for k, v in notes.items()}
     return about | {"calibration": calibration}
+
+
+def _with_episodes(old: Any, new: dict[str, Any]) -> dict[str, Any]:
+    """A note on some episodes is on those before, too: their poses are still there."""
+    before, later = _episodes_of(old), _episodes_of(new)
+    if before is None or later is None:
+        return new
+    return new | {"episodes": before + [e for e in later if e not in before]}
+
+
+def _episodes_of(note: Any) -> list[Any] | None:
+    """The episodes that a note is on; None if it is on a view in all of them."""
+    episodes = note.get("episodes") if isinstance(note, dict) else None
+    return episodes if isinstance(episodes, list) else None
 
 
 def _text(content: Any, indent: int = 0) -> str:

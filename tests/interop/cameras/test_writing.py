@@ -130,3 +130,21 @@ def test_views_and_episodes_keep_the_names_that_a_file_has(tmp_path):
         entry = file.of(episode, "front")
         assert entry.optics is not None
         np.testing.assert_allclose(entry.pose.of(()), pose, atol=1e-6)
+
+
+def test_notes_on_episodes_name_those_before_too(tmp_path):
+    path = tmp_path / "cameras.json"
+
+    def noted(about, episodes=(), **more):
+        poses = {str(n): {"front": pose_json(POSE)} for n in episodes}
+        update_cameras(path, Changes({"front": FRONT}, poses, about={"front": about}, **more))
+        notes = json.loads(path.read_text())["about"]["calibration"]["front"]
+        return {name: note.get("episodes") for name, note in notes.items()}
+
+    def drift(*episodes):
+        return noted({"drift": {"by": "arm", "episodes": [*episodes]}}, episodes)
+
+    assert drift(1, 2) == {"drift": [1, 2]}
+    assert drift(2, 7) == {"drift": [1, 2, 7]}
+    assert noted({"lens": {"px": 0.1}}) == {"drift": [1, 2, 7], "lens": None}
+    assert noted({"arm": {"mm": 2}}, everywhere=("front",)) == {"lens": None, "arm": None}
