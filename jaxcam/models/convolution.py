@@ -16,6 +16,8 @@ from jax import lax
 
 ROWS = 512
 """Pixels that matrix products have at least: where pictures have fewer, of several pictures."""
+USUAL = None, 1, (1, 1)
+"""Values of options that change nothing."""
 
 Pads = tuple[tuple[int, int], ...]
 
@@ -30,12 +32,15 @@ def convolve(
         kernel: Weights [h, w, I, O].
         strides: Down and to the right (pixels).
         padding: Pixels before and after, for both directions.
-        options: Others that `jax.lax.conv_general_dilated` has; all as they are by default.
+        options: Others that `jax.lax.conv_general_dilated` has; where one is not as usual, all is
+            XLA's.
 
     Returns:
         Pictures [B, H', W', O].
     """
-    del options
+    unusual = {k for k, v in options.items() if k != "dimension_numbers" and v not in USUAL}
+    if unusual or isinstance(padding, str):
+        return lax.conv_general_dilated(x, kernel, strides, padding, **options)
     return _convolve(x, kernel, tuple(strides), tuple((a, b) for a, b in padding))
 
 
@@ -67,7 +72,9 @@ def _backward(
         return jax.vjp(lambda k: plain(x, k), kernel)[1](gradient)[0]
 
     ours = functools.partial(_by_pictures, kernel=kernel.shape, strides=strides, pads=pads)
-    cpu = ours if jax.device_count() == 1 else by_xla  # pictures of several devices go together
+    is_odd = not min(gradient.shape + kernel.shape) or min(map(min, pads)) < 0
+    # Pictures of several devices go together.
+    cpu = ours if jax.device_count() == 1 and not is_odd else by_xla
     return of_x, lax.platform_dependent(x, gradient, cpu=cpu, default=by_xla)
 
 
@@ -85,6 +92,7 @@ def _by_pictures(
     """The kernel's gradient, a few pictures after the other."""
     (high, wide, d_in, d_out), (count, rows, columns, _) = kernel, gradient.shape
     down, right = strides
+    sums = jnp.promote_types(x.dtype, jnp.float32)
     several = math.gcd(count, max(1, ROWS // max(1, rows * columns)))
 
     def add(total: jax.Array, part: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
@@ -97,12 +105,12 @@ def _by_pictures(
             jnp.matmul(
                 wider[:, i : i + (rows - 1) * down + 1 : down].reshape(-1, wide * d_in).T,
                 gradient,
-                preferred_element_type=jnp.float32,
+                preferred_element_type=sums,
             )
             for i in range(high)
         ]
         return total + jnp.concatenate(products), None
 
     parts = jax.tree.map(lambda a: a.reshape(-1, several, *a.shape[1:]), (x, gradient))
-    total, _ = lax.scan(add, jnp.zeros((high * wide * d_in, d_out), jnp.float32), parts)
+    total, _ = lax.scan(add, jnp.zeros((high * wide * d_in, d_out), sums), parts)
     return total.reshape(kernel).astype(x.dtype)

@@ -63,6 +63,29 @@ def test_half_precision_is_summed_in_full():
     )
 
 
+@pytest.mark.parametrize(
+    ("kernel", "options", "pads"),
+    [
+        ((3, 3, 4, 4), {"rhs_dilation": (2, 2)}, [(1, 1), (1, 1)]),
+        ((3, 3, 2, 4), {"feature_group_count": 2}, [(1, 1), (1, 1)]),
+        ((3, 3, 4, 4), {}, "SAME"),
+        ((3, 3, 4, 4), {}, [(-1, 2), (0, 0)]),
+        ((9, 3, 4, 4), {}, [(0, 0), (1, 1)]),  # no rows are left
+        ((3, 3, 4, 0), {}, [(1, 1), (1, 1)]),
+    ],
+)
+def test_what_is_unusual_is_xlas(kernel, options, pads):
+    x, k = numbers(0, 2, 8, 8, 4), numbers(1, *kernel)
+    options = {"dimension_numbers": ("NHWC", "HWIO", "NHWC"), **options}
+
+    def slopes(convolution):
+        out, back = jax.vjp(lambda x, k: convolution(x, k, (1, 1), pads, **options), x, k)
+        return out, *back(jnp.ones_like(out))
+
+    for got, expected in zip(slopes(convolve), slopes(jax.lax.conv_general_dilated), strict=True):
+        np.testing.assert_allclose(got, expected, rtol=1e-5, atol=1e-5)
+
+
 def test_it_maps_over_batches():
     x, k = numbers(0, 2, 3, 8, 8, 4), numbers(1, 2, 3, 3, 4, 4)
 

@@ -1,21 +1,22 @@
 """All that the doctor finds on a recorded dataset."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from jaxcam.checks.findings import Finding, bad, good, note
+from jaxcam.checks.findings import Finding, good, note
 from jaxcam.checks.overlays import chosen
 from jaxcam.checks.page import Report
 from jaxcam.checks.recorded.cameras import check_calibrations, check_sights
 from jaxcam.checks.recorded.drifts import check_drift, unanswered
-from jaxcam.checks.recorded.judged import Judged, names, ranking, suspicion
+from jaxcam.checks.recorded.judged import Judged, ranking, suspicion
 from jaxcam.checks.recorded.looks import Looks
 from jaxcam.checks.recorded.motion import films_of
 from jaxcam.checks.recorded.numbers import check_numbers, statistics_of_recording
 from jaxcam.checks.recorded.overlays import draw_looks
+from jaxcam.checks.recorded.pictures import check_pictures
 from jaxcam.checks.recorded.places import Evidence, check_places
 from jaxcam.checks.recorded.stills import check_stills
 from jaxcam.console.progress import progress
@@ -26,10 +27,6 @@ from jaxcam.reports.style import BLUE, FAINT, side_by_side, styled
 
 LOOKED = 24
 """Episodes whose pictures are decoded, evenly spread; more where a change is looked for."""
-BLACK = 4
-"""Grey level up to which a picture of one colour is black, which films keep no better."""
-WAY = 0.03
-"""Distance (m) that the grip goes in an episode in which pictures cannot all be the same."""
 CAPTION = (
     "What cameras see, with the axes of the base and of a frame at the grip (x red, y green, z "
     "blue) and the way of the grip (yellow) drawn where calibrations have them."
@@ -76,7 +73,7 @@ def check_recorded(
             evidence = Evidence.of(recording, films_of(looks, episodes, columns, wrong_K))
             judged += check_sights(recording, columns, evidence.of_reading, wrong_K)
             judged += check_places(evidence.without(_explained(judged)))
-        judged += _pictures(looks, columns)
+        judged += check_pictures(looks, columns, states="shapes" not in wrong)
         judged += (stills := list(check_stills(looks, episodes)))
         if robot:
             judged += check_drift(recording, unanswered(recording, stills), episodes, robot)
@@ -128,52 +125,6 @@ def _look(looks: Looks, episodes: Sequence[int], console: Console | None) -> Non
         for episode, view in films:
             looks.at(episode, view)
             advance()
-
-
-def _pictures(looks: Looks, grip: Sequence[int] | None) -> Iterator[Judged]:
-    """Whether pictures can be decoded, are not black or mostly of one colour, and move.
-
-    Some of one colour may be right: a camera may stand so near to the robot that it sees nothing
-    else for a while.
-    """
-    recording = looks.recording
-    for (episode, view), why in looks.broken.items():
-        where = f"view {view}, {names(recording, [episode])}"
-        fix = "Copy that file anew, or leave the episode out."
-        yield Judged(bad("pictures", got=why, where=where, fix=fix), (episode,))
-    black: dict[str, list[int]] = {}
-    blank: dict[str, list[int]] = {}
-    frozen: dict[str, list[int]] = {}
-    total = 0
-    for view in recording.views:
-        for e, look in looks.of(view).items():
-            total += len(look.grey)
-            flat = [grey for grey in look.grey if not np.ptp(grey)]
-            if any(grey.max() <= BLACK for grey in flat):
-                black.setdefault(view, []).append(e)
-            elif 2 * len(flat) > len(look.grey):
-                blank.setdefault(view, []).append(e)
-            elif _goes(recording, e, grip) and (look.grey == look.grey[0]).all():
-                frozen.setdefault(view, []).append(e)
-    kinds = ("black", black), ("of one colour", blank), ("all the same", frozen)
-    for words, odd in kinds:
-        for view, episodes in odd.items():
-            where = f"view {view}, {names(recording, episodes)}"
-            fix = "Leave those out: a policy learns from them to ignore its eyes."
-            finding = bad("pictures", got=f"pictures are {words}", where=where, fix=fix)
-            yield Judged(finding, tuple(episodes))
-    if not (looks.broken or black or blank or frozen):
-        yield Judged(
-            good("pictures", got=f"{total} looked at; none is blank, no film stands still")
-        )
-
-
-def _goes(recording: Recording, episode: int, grip: Sequence[int] | None) -> bool:
-    """Whether the robot moves in an episode, as far as can be said."""
-    state = recording.episodes[episode].state
-    if len(state) < 2 or grip is None:
-        return False
-    return bool(np.linalg.norm(np.ptp(state[:, list(grip)], axis=0)) > WAY)
 
 
 @styled

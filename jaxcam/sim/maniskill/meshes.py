@@ -87,10 +87,17 @@ def _simplified(vertices: bytes, triangles: bytes) -> Mesh | None:
 
 def _corners(mesh: Mesh) -> Mesh | None:
     """Two triangles instead of a grid that fills a level rectangle evenly; None if it is none."""
-    low, high = mesh.vertices.min(0), mesh.vertices.max(0)
-    sides = np.diff(mesh.vertices[mesh.triangles][..., :2], axis=1)
-    area = abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]).sum() / 2
-    if low[2] != high[2] or not np.isclose(area, np.prod(high[:2] - low[:2])):
+    if not len(mesh.triangles):
+        return None
+    corners = mesh.vertices[mesh.triangles]
+    low, high = corners.min((0, 1)), corners.max((0, 1))
+    sides = np.diff(corners[..., :2], axis=1)
+    areas = (sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]) / 2
+    is_once = len(np.unique(np.round(corners.mean(1), 6), axis=0)) == len(corners)
+    is_up = bool(areas[0] > 0)
+    if low[2] != high[2] or ((areas > 0) != is_up).any() or not is_once:
+        return None
+    if not np.isclose(abs(areas).sum(), np.prod(high[:2] - low[:2])):
         return None
     planar = np.c_[mesh.vertices[:, :2], np.ones(len(mesh.vertices))].astype(float)
     uv_from_xy1 = np.linalg.lstsq(planar, mesh.uvs, rcond=None)[0]
@@ -100,7 +107,7 @@ def _corners(mesh: Mesh) -> Mesh | None:
     corners = np.array([[x[i], y[j], low[2]] for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))])
     return Mesh(
         corners.astype(np.float32),
-        np.array([[0, 1, 2], [0, 2, 3]], np.uint32),
+        np.array([[0, 1, 2], [0, 2, 3]] if is_up else [[0, 2, 1], [0, 3, 2]], np.uint32),
         np.repeat(mesh.normals[:1], 4, 0),
         (np.c_[corners[:, :2], np.ones(4)] @ uv_from_xy1).astype(np.float32),
     )

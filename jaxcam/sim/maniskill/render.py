@@ -11,7 +11,7 @@ from jaxcam.sim.maniskill.machine import device, has_accelerator
 from jaxcam.sim.maniskill.memory import PIXELS, ROWS
 from jaxcam.sim.maniskill.pool import Pool, pool_of
 from jaxcam.sim.maniskill.scene import SapienWorld
-from jaxcam.sim.maniskill.studio import SHADER
+from jaxcam.sim.maniskill.studio import LIGHT, SHADER
 from jaxcam.sim.painter import require_pinholes
 from jaxcam.sim.types import View
 from jaxcam.sim.world import World
@@ -62,7 +62,7 @@ class SapienPainter:
     @staticmethod
     def look() -> str:
         """SAPIEN's version, ManiSkill's shader, what made meshes light; drivers differ a little."""
-        light = f"light{version('pyfqmr')}"
+        light = f"light{LIGHT}-pyfqmr{version('pyfqmr')}"
         return f"sapien{version('sapien')}-{SHADER}-{light}-{device().kind}"
 
     @staticmethod

@@ -70,16 +70,12 @@ def lighten(entity: sapien.Entity) -> None:
     if body is None:
         return
     light = sapien.render.RenderBodyComponent()
-    for shape in body.render_shapes:
-        for part in shape.parts:
-            mesh = Mesh(part.vertices, part.triangles, part.get_vertex_normal(),
-                        part.get_vertex_uv())  # fmt: skip
-            has_texture = part.material.base_color_texture is not None
-            drawn = sapien.render.RenderShapeTriangleMesh(
-                *fewer(mesh, has_texture=has_texture), part.material
-            )
-            drawn.local_pose = shape.local_pose
-            light.attach(drawn)
+    for drawn in (drawn for shape in body.render_shapes for drawn in _lighter(shape)):
+        light.attach(drawn)
+    light.name, light.visibility = body.name, body.visibility
+    light.shading_mode = body.shading_mode
+    if body.is_render_id_disabled:
+        light.disable_render_id()
     entity.remove_component(body)
     entity.add_component(light)
 
@@ -124,6 +120,27 @@ def _yaw(angle: float) -> list[float]:
 def _drawn_part(entity: sapien.Entity) -> Any:
     """What of an entity is rendered; None without a renderer."""
     return entity.find_component_by_type(sapien.render.RenderBodyComponent)
+
+
+def _lighter(shape: Any) -> list[Any]:
+    """Shapes that look like one and have fewer triangles; a box or a ball stays what it is."""
+    if not isinstance(shape, sapien.render.RenderShapeTriangleMesh):
+        return [shape.clone()]
+    shapes, are_same = [], True
+    for part in shape.parts:
+        mesh = Mesh(part.vertices, part.triangles, part.get_vertex_normal(), part.get_vertex_uv())
+        light = fewer(mesh, has_texture=_has_texture(part.material))
+        are_same &= light is mesh
+        drawn = sapien.render.RenderShapeTriangleMesh(*light, part.material)
+        drawn.local_pose, drawn.scale = shape.local_pose, shape.scale
+        drawn.front_face, drawn.name = shape.front_face, shape.name
+        shapes.append(drawn)
+    return [shape.clone()] if are_same else shapes
+
+
+def _has_texture(material: Any) -> bool:
+    kinds = "base_color", "emission", "metallic", "normal", "roughness", "transmission"
+    return any(getattr(material, f"{kind}_texture") is not None for kind in kinds)
 
 
 def _hide(entity: sapien.Entity) -> None:

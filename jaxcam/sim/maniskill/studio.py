@@ -10,6 +10,9 @@ from jaxcam.sim.types import Start
 
 SHADER = "minimal"
 """ManiSkill's own choice for its cameras."""
+LIGHT = 2
+"""Which meshes `jaxcam.sim.maniskill.meshes` makes; goes up with each change of it, since pictures
+are named after it."""
 CAMERA_ERROR = 1e-3
 """Largest difference (pixels, m) between the camera asked and the one SAPIEN says it has."""
 

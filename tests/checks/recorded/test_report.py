@@ -219,20 +219,6 @@ def test_pictures_that_are_none_are_named():
     assert "view right, episode e3: pictures are all the same" in text
 
 
-@pytest.mark.parametrize(
-    ("count", "level", "wrong"),
-    [(1, 90, []), (12, 90, ["pictures are of one colour"]), (1, 2, ["pictures are black"])],
-)
-def test_a_film_may_have_a_picture_of_one_colour_but_none_that_is_black(count, level, wrong):
-    def spoil(i, view, pictures):
-        if (i, view) == (1, "front"):
-            pictures[:count] = level
-        return pictures
-
-    findings = about(check_recorded(with_pictures(filmed(2, 12), spoil)).findings, "pictures")
-    assert [f.got for f in findings if f.mark == "bad"] == wrong
-
-
 def test_numbers_that_are_none_do_not_stop_it():
     data = filmed(3, 12)
     holes = with_state(data, 1, 3, 0, np.nan)

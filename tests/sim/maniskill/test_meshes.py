@@ -32,6 +32,18 @@ def test_a_floor_has_two_triangles_and_its_texture(meshes):
     np.testing.assert_allclose(np.cross(sides[:, 0], sides[:, 1]), [[0, 0, 6]] * 2, atol=1e-5)
 
 
+def test_a_floor_is_seen_from_the_side_that_it_was_seen_from(meshes):
+    floor = sheet(meshes, lambda x, y: 0 * x)
+    light = meshes.fewer(floor._replace(triangles=floor.triangles[:, ::-1]), has_texture=True)
+    assert len(light.triangles) == 2
+    sides = np.diff(light.vertices[light.triangles], axis=1)
+    np.testing.assert_allclose(np.cross(sides[:, 0], sides[:, 1]), [[0, 0, -6]] * 2, atol=1e-5)
+    half = np.tile(floor.triangles[:600], (2, 1))
+    for triangles in (half, half[:0], np.r_[half[:600], floor.triangles[600:, ::-1]]):
+        other = floor._replace(triangles=triangles)
+        assert meshes.fewer(other, has_texture=True) is other
+
+
 def test_what_has_a_texture_a_hole_or_few_triangles_stays(meshes):
     bumpy = sheet(meshes, lambda x, y: np.sin(9 * x) * y)
     assert meshes.fewer(bumpy, has_texture=True) is bumpy
@@ -49,11 +61,16 @@ def test_a_body_keeps_its_shape_its_round_side_and_its_edge(meshes):
     """A dome whose triangles have their corners for themselves, as those of ManiSkill's robot."""
     import trimesh
 
+    from jaxcam.sim.maniskill import studio
+
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.1)
     dome = np.maximum(ball.vertices, [-1, -1, -0.03])[ball.faces].reshape(-1, 3).astype(np.float32)
     triangles = np.arange(len(dome)).reshape(-1, 3)
     light = meshes.fewer(meshes.Mesh(dome, triangles, dome, dome[:, :2]), has_texture=False)
     assert 0.05 < len(light.triangles) / len(triangles) < 0.15
+    # Other numbers mean other pictures: give `LIGHT` of the studio, their name, another one too.
+    sum_of_all = round(float(abs(light.vertices).sum()), 1)
+    assert (studio.LIGHT, len(light.triangles), sum_of_all) == (2, 512, 42.9)
     radius, above = np.linalg.norm(light.vertices, axis=1), light.vertices[:, 2] + 0.03
     assert max(radius.max() - 0.1, -above.min()) < 1e-3
     assert np.minimum(abs(radius - 0.1), above).max() < 1e-3

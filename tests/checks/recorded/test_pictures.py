@@ -1,0 +1,82 @@
+"""Films that show nothing or stand still are named, whatever sensors and codecs add to them."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from filmed import about, filmed, with_pictures
+
+from jaxcam.checks.recorded.report import check_recorded
+
+
+def judged(change, **more):
+    """What is said of pictures where one film of one view is changed."""
+
+    def spoil(i, view, pictures):
+        return change(pictures).astype(np.uint8) if (i, view) == (1, "front") else pictures
+
+    recording = replace(with_pictures(filmed(2, 12), spoil), **more)
+    findings = check_recorded(recording).findings
+    return [f.got for mark in ("bad", "good") for f in about(findings, "pictures", mark)]
+
+
+def noisy(pictures, low, high):
+    return np.clip(
+        pictures + np.random.default_rng(0).integers(low, high + 1, pictures.shape), 0, 255
+    )
+
+
+def one(level, low=0, high=0, count=12):
+    def change(pictures):
+        flat = noisy(np.full(pictures.shape, level), low, high)
+        return np.concatenate([flat[:count], pictures[count:]])
+
+    return change
+
+
+def stuck(first, last, low=0, high=0):
+    def change(pictures):
+        pictures = pictures.astype(int)
+        pictures[first:last] = pictures[first]
+        return noisy(pictures, low, high)
+
+    return change
+
+
+def through_jpeg(pictures):
+    """As a codec does, with another error in every picture."""
+    return np.stack([
+        cv2.imdecode(cv2.imencode(".jpg", p, [cv2.IMWRITE_JPEG_QUALITY, 75 + i])[1], -1)
+        for i, p in enumerate(pictures)
+    ])  # fmt: skip
+
+
+GOOD = "72 looked at; none is blank, no film stands still"
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (one(0), "pictures are black"),
+        (one(0, 0, 4), "pictures are black"),
+        (one(2, count=1), "pictures are black"),
+        (one(90), "pictures are of one colour"),
+        (one(90, -1, 1), "pictures are of one colour"),
+        (one(90, count=2), GOOD),
+        (stuck(0, 12), "pictures are all the same"),
+        (stuck(0, 12, -1, 1), "pictures are all the same"),
+        (stuck(1, 12), "pictures are all the same"),
+        (lambda film: through_jpeg(np.uint8(stuck(0, 12)(film))), "pictures are all the same"),
+        (through_jpeg, GOOD),
+        (lambda pictures: noisy(pictures, -2, 2), GOOD),
+    ],
+)  # fmt: skip
+def test_films_that_show_nothing_or_stand_still(change, said):
+    assert judged(change) == [said]
+
+
+def test_a_film_that_stands_still_is_found_though_nobody_says_where_the_grip_is():
+    unnamed = ("a", "b", "c", "d", "e")
+    assert judged(stuck(0, 12), state_names=unnamed) == ["pictures are all the same"]
+    assert judged(stuck(0, 0), state_names=unnamed) == [GOOD]
