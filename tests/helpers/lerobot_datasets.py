@@ -1,6 +1,8 @@
 """Small LeRobot datasets, written as LeRobot writes them, and spoilt ones."""
 
+import contextlib
 import json
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -177,7 +179,11 @@ def _write_videos(root, version, files, clips, key, codec, options, start):
 def write_mp4(path, pictures, codec="libx264", options=None, start=0.0, rate=RATE, moments=None):
     """Writes a video, its index first; pictures are one after the other, or at these moments."""
     quiet = {"libx265": {"x265-params": "log-level=none"}, "libsvtav1": {"crf": "30"}}
-    with av.open(str(path), "w", format="mp4", options={"movflags": "faststart"}) as container:
+    faststart = {"movflags": "faststart"}
+    with (
+        _usual_priority(),
+        av.open(str(path), "w", format="mp4", options=faststart) as container,
+    ):
         settings = quiet.get(codec, {"crf": "10"}) | (options or {})
         stream = container.add_stream(codec, rate=rate, options=settings)
         stream.height, stream.width, stream.pix_fmt = HEIGHT, WIDTH, "yuv420p"
@@ -190,6 +196,25 @@ def write_mp4(path, pictures, codec="libx264", options=None, start=0.0, rate=RAT
             )
             container.mux(stream.encode(frame))
         container.mux(stream.encode())
+
+
+@contextlib.contextmanager
+def _usual_priority():
+    """SVT-AV1 makes a thread of root's a real-time one, and leaves it so: children, which inherit
+    that, would wait for each other without end."""
+    before = priority()
+    try:
+        yield
+    finally:
+        if before is not None:
+            os.sched_setscheduler(0, *before)
+
+
+def priority():
+    """Of this thread: its policy and what belongs to it; None where systems have none."""
+    if not hasattr(os, "sched_getscheduler"):
+        return None
+    return os.sched_getscheduler(0), os.sched_getparam(0)
 
 
 def _write_meta(root, version, dtype, files, keys, start):
