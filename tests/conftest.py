@@ -37,6 +37,12 @@ def resident():
     return int(file.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") if file.exists() else 2**63
 
 
+def process():
+    """The process's folder, and how this thread is scheduled where systems say so."""
+    scheduled = os.sched_getscheduler(0) if hasattr(os, "sched_getscheduler") else None
+    return os.getcwd(), scheduled
+
+
 @pytest.fixture(scope="session")
 def tidied():
     """How much memory the process had when it was tidied last, in a list of one number."""
@@ -52,6 +58,14 @@ def _compiled_programs_are_let_go(tidied):
         sys.modules["jax"].clear_caches()
         gc.collect()
         tidied[0] = resident()
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _the_process_stays_as_it_was():
+    """A folder or a priority that a file of tests leaves behind would be that of all children."""
+    before = process()
+    yield
+    assert process() == before
 
 
 @pytest.fixture(scope="session")

@@ -202,19 +202,14 @@ def write_mp4(path, pictures, codec="libx264", options=None, start=0.0, rate=RAT
 def _usual_priority():
     """SVT-AV1 makes a thread of root's a real-time one, and leaves it so: children, which inherit
     that, would wait for each other without end."""
-    before = priority()
+    if not hasattr(os, "sched_getscheduler"):
+        yield
+        return
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
         yield
     finally:
-        if before is not None:
-            os.sched_setscheduler(0, *before)
-
-
-def priority():
-    """Of this thread: its policy and what belongs to it; None where systems have none."""
-    if not hasattr(os, "sched_getscheduler"):
-        return None
-    return os.sched_getscheduler(0), os.sched_getparam(0)
+        os.sched_setscheduler(0, *before)
 
 
 def _write_meta(root, version, dtype, files, keys, start):
