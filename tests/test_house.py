@@ -34,7 +34,6 @@ ELSEWHERE = {
     "sim/mujoco/tracer/seeing": "sim/mujoco/tracer/test_painter",
     "sim/mujoco/tracer/shading": "sim/mujoco/tracer/test_painter",
     "sim/maniskill/envs": "sim/maniskill/test_tasks",
-    "sim/maniskill/scenery": "sim/maniskill/test_tasks",
     "sim/maniskill/memory": "sim/maniskill/test_worlds",
     "sim/maniskill/studio": "sim/maniskill/test_worlds",
     "sim/maniskill/worker": "sim/maniskill/test_worlds",
