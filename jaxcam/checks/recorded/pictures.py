@@ -83,13 +83,16 @@ def _fault(grey: np.ndarray, steps: np.ndarray, goes: Callable[[int, int], bool]
     return ""
 
 
-def _motion(recording: Recording, grip: Sequence[int] | None) -> Goes:
+def _motion(recording: Recording, grip: Sequence[int] | None) -> Goes | None:
+    """None where no state says whether the robot moves."""
     if grip is not None:
         columns = list(grip)
         return lambda e, first, last: bool(
             np.linalg.norm(_spans(recording.episodes[e].state[first : last + 1, columns])) > WAY
         )
     usual = _spans(np.concatenate([episode.state for episode in recording.episodes]))
+    if not usual.any():
+        return None
     far = np.where(usual > 0, SPAN * usual, np.inf)
     return lambda e, first, last: bool(
         (_spans(recording.episodes[e].state[first : last + 1]) > far).any()

@@ -80,3 +80,11 @@ def test_a_film_that_stands_still_is_found_though_nobody_says_where_the_grip_is(
     unnamed = ("a", "b", "c", "d", "e")
     assert judged(stuck(0, 12), state_names=unnamed) == ["pictures are all the same"]
     assert judged(stuck(0, 0), state_names=unnamed) == [GOOD]
+
+
+def test_without_a_state_that_changes_nothing_is_said_of_films_that_stand_still():
+    still = with_pictures(filmed(2, 12), lambda i, view, pictures: pictures)
+    episodes = [replace(e, state=np.ones_like(e.state)) for e in still.episodes]
+    unnamed = replace(still, episodes=episodes, state_names=("a", "b", "c", "d", "e"))
+    (good,) = about(check_recorded(unnamed).findings, "pictures", "good")
+    assert good.got == "72 looked at; none is blank; whether films stand still is not known"
