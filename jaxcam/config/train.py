@@ -62,7 +62,7 @@ class TrainConfig:
         "network": "conditioning action_space action_frame ray_frame rotations model weights stem",
         "updates": "steps batch accumulate lr schedule warmup final_lr optimizer weight_decay "
         "beta1 beta2 clip_norm ema ema_power precision",
-        "data": "n m views demos validation resolution crop_min data_dir",
+        "data": "n m views demos validation resolution crop_min color_jitter data_dir",
         "cameras": "fovy eval_fovy pose_noise pose_noise_per rays_from lens centre aspect",
         "recorded": "dataset cameras grip action_is hold_out_view hold_out_episodes",
         "evaluation": "pairs engine ensemble videos",
@@ -148,6 +148,9 @@ class TrainConfig:
     shorter side; the longer one keeps their shape."""
     crop_min: FromPreset[float] = PRESET
     """Smallest side of a random crop as a share of the image; 1 is off."""
+    color_jitter: float = 0.0
+    """Largest random change of brightness, contrast and saturation in training as a share of them,
+    such as 0.4; hues turn by up to a quarter of it. 0 is off."""
     model: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ..."), default("none")] = ()
     """Changes to the policy's network as name=value, for example width=256."""
     weights: Annotated[str, default("none")] = ""
@@ -262,7 +265,7 @@ class TrainConfig:
         check_least(self, 1, "views steps batch n demos pairs keep log_every eval_every")
         check_least(self, 1, "save_every steps_per_call accumulate")
         check_least(self, 0, "warmup weight_decay m validation ema ema_power clip_norm")
-        check_least(self, 0, "final_lr beta1 beta2 videos")
+        check_least(self, 0, "final_lr beta1 beta2 videos color_jitter")
         check_least(self, 0, "lr crop_min", or_equal=False)
         check_least(self, -1, "ensemble")
         check_most(self, 2**31 - 1, "steps log_every eval_every save_every warmup")
@@ -285,6 +288,8 @@ def _check_shares(config: TrainConfig) -> None:
     values = vars(config)
     if (values["crop_min"] or 0) > 1:
         raise ConfigError(f"crop_min is a share of the image, at most 1; got {config.crop_min}.")
+    if config.color_jitter > 1:
+        raise ConfigError(f"color_jitter is a share, at most 1; got {config.color_jitter}.")
     for field in ("ema", "beta1", "beta2"):
         if (values[field] or 0) >= 1:
             raise ConfigError(f"{field} must be below 1, got {values[field]}.")

@@ -28,6 +28,8 @@ NOMINAL_POSE = (
 UNMOVED = tuple(tuple(float(i == j) for j in range(4)) for i in range(4))
 TABLE_HEIGHT = 0.8 - 0.912
 """Of the paper's table over the base, metres."""
+TABLE_MIDDLE = (0.56, 0.0, TABLE_HEIGHT)
+"""Of it in the base frame, metres."""
 IN_ATTENTION = ("prope", "gta", "ray_rope")
 """The ways that need attention between tokens that have a place in a picture."""
 
@@ -134,6 +136,10 @@ class VisionConfig(CameraConfig):
     rays do unless the pool is softmax."""
     lift: bool = True
     """Whether a ray keypoint also carries the point of its ray at a height the network chooses."""
+    lift_unit: float = 0.0
+    """What counts as 1 in those points, metres from the middle of the paper's table: objects lie
+    closer together than numbers of order 1 that networks tell apart at once. 0 leaves them in
+    metres from the origin of the rays."""
     floors: bool = True
     """Whether deviations and ranges that nearly vanish are raised to the floors of
     `jaxcam.models.normalization`, or divided by as they are, as LeRobot does."""
@@ -142,7 +148,7 @@ class VisionConfig(CameraConfig):
         """Refuse names that do not exist."""
         super().__post_init__()
         check_least(self, 1, "encoder_depth encoder_width keypoints fold")
-        check_least(self, 0, "heat_gain")
+        check_least(self, 0, "heat_gain lift_unit")
         check_known(
             self,
             encoder=self.encoders,

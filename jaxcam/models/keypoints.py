@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import nnx
 
-from jaxcam.models.conditioning import VisionConfig
+from jaxcam.models.conditioning import TABLE_MIDDLE, VisionConfig
 from jaxcam.models.layers import linear
 
 FLATTEST = 0.1
@@ -85,6 +85,7 @@ class KeypointPool(nnx.Module):
         self.heat_gain = config.heat_gain
         self.with_rays = config.network == "keypoints"
         self.with_lift = self.with_rays and config.lift
+        self.lift_unit = config.lift_unit
         self.corners = config.pool == "softmax"
         plain = not self.with_rays and not self.corners
         self.with_features = config.keypoint_features or plain
@@ -102,7 +103,10 @@ class KeypointPool(nnx.Module):
             parts.append(points.ray)
         if self.with_lift:
             height = self.height(points.features)[..., 0] + self.height_bias
-            parts.append(lift_to_height(points.ray, height))
+            lifted = lift_to_height(points.ray, height)
+            if self.lift_unit:
+                lifted = (lifted - np.array(TABLE_MIDDLE, np.float32)) / self.lift_unit
+            parts.append(lifted)
         if self.with_features:
             parts.append(points.features.astype(jnp.float32))
         return jnp.concatenate(parts, -1)

@@ -1,7 +1,6 @@
 """Runs that stand at the same update, as one state that one compiled program updates."""
 
 import contextlib
-import functools
 import time
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from jaxcam.config.train import TrainConfig
 from jaxcam.data.batches import Dataset, stacked_batches
 from jaxcam.devices import copied, data_mesh, part, replicated, shard, spread, stacked
 from jaxcam.models import Batch, Policy
-from jaxcam.models.crops import random_crop
+from jaxcam.training.augment import augmentation
 from jaxcam.training.noise import pose_noise
 from jaxcam.training.records import Records
 from jaxcam.training.state import TrainState, Update, make_train_chunk
@@ -60,7 +59,7 @@ class SideBySide:
         update = Update(
             policy.loss,
             tx,
-            augment=functools.partial(random_crop, smallest=config.crop_min),
+            augment=augmentation(config),
             perturb=pose_noise(config.pose_noise, config.pose_noise_per),
             ema=config.ema,
             ema_power=config.ema_power,

@@ -24,6 +24,8 @@ from jaxcam.errors import ConfigError
         ({"lr": float("nan")}, "lr must be"),
         ({"clip_norm": float("inf")}, "clip_norm must be"),
         ({"crop_min": 1.5}, "crop_min is a share of the image"),
+        ({"color_jitter": 1.5}, "color_jitter is a share, at most 1; got 1.5"),
+        ({"color_jitter": -0.1}, "color_jitter must be at least 0"),
         ({"ema": 1.0}, "ema must be below 1"),
         ({"n": 3, "m": 4}, r"m \(4\) must be at most n \(3\)"),
         ({"views": 4, "n": 3}, r"views \(4\) needs as many cameras"),

@@ -1,14 +1,17 @@
 """Key points: the mean of a heat map, and the ray through it."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flax import nnx
 from policy_inputs import make_batch
 
-from jaxcam.models.conditioning import VisionConfig
+from jaxcam.models.conditioning import NOMINAL_POSE, VisionConfig
 from jaxcam.models.fusion import grid_rays
-from jaxcam.models.keypoints import lift_to_height, pool_keypoints
+from jaxcam.models.keypoints import KeypointPool, lift_to_height, pool_keypoints
 from jaxcam.rays import plucker
 
 
@@ -67,3 +70,17 @@ def test_lifting_a_flat_line_stays_near_and_differentiable(slope):
     assert np.linalg.norm(point) < 20
     jacobian = jax.jacobian(lift_to_height)(ray, jnp.float32(-0.5))
     assert np.isfinite(jacobian).all()
+
+
+def test_lifted_points_are_told_in_a_unit_about_the_table():
+    features = jnp.asarray(np.random.default_rng(2).normal(size=(2, 6, 6, 8)), jnp.float32)
+    batch = make_batch(6)
+    config = VisionConfig(conditioning="keypoints", encoder_width=8, keypoints=3)
+    rays = grid_rays(config, batch, 6, 6)
+    plain, scaled = (
+        np.asarray(KeypointPool(replace(config, lift_unit=unit), rngs=nnx.Rngs(0))(features, rays))
+        for unit in (0.0, 0.125)
+    )
+    np.testing.assert_array_equal(scaled[..., :8], plain[..., :8])  # pixels and rays
+    middle = NOMINAL_POSE[0][3] - 0.95 * 0.5**0.5, 0, 0.8 - 0.912  # what the nominal camera sees
+    np.testing.assert_allclose(scaled[..., 8:] * 0.125 + middle, plain[..., 8:], atol=1e-6)
