@@ -21,8 +21,11 @@ MOST = 0.75
 WAY = 0.03
 """Distance (m) that the grip goes while pictures cannot stay the same."""
 SPAN = 0.1
-"""The same of any number of the state, as a share of what it spans in all episodes, where nobody
-says where the grip is."""
+"""The same of most numbers of the state, as a share of what each spans in all episodes, where
+nobody says where the grip is."""
+NOISY = 0.4
+"""Share of what a number spans that one step in twenty exceeds if it is noise (0.7 if that is
+normal), as of forces or of joints that nobody moves: it does not tell whether the robot moves."""
 
 Goes = Callable[[int, int, int], bool]
 """Whether the robot moves in an episode between two of its steps."""
@@ -67,12 +70,12 @@ def check_pictures(looks: Looks, grip: Sequence[int] | None, *, states: bool) ->
 
 def _fault(grey: np.ndarray, steps: np.ndarray, goes: Callable[[int, int], bool]) -> str:
     """What is wrong with pictures [n, h, w] of some steps [n]; empty if nothing is."""
-    low, high = np.percentile(grey, [ODD, 100 - ODD], axis=(1, 2))
+    smooth = np.stack([cv2.blur(picture, (5, 5)) for picture in grey]).astype(np.int16)
+    low, high = np.percentile(smooth, [ODD, 100 - ODD], axis=(1, 2))
     if (high <= BLACK).any():
         return "black"
     if (high - low <= NOISE).mean() > 0.5:
         return "of one colour"
-    smooth = [cv2.blur(picture, (5, 5)).astype(np.int16) for picture in grey]
     first = 0
     for i in range(1, len(smooth) + 1):
         if i < len(smooth) and abs(smooth[i] - smooth[first]).max() <= NOISE:
@@ -85,23 +88,29 @@ def _fault(grey: np.ndarray, steps: np.ndarray, goes: Callable[[int, int], bool]
 
 def _motion(recording: Recording, grip: Sequence[int] | None) -> Goes | None:
     """None where no state says whether the robot moves."""
-    if grip is not None:
-        columns = list(grip)
-        return lambda e, first, last: bool(
-            np.linalg.norm(_spans(recording.episodes[e].state[first : last + 1, columns])) > WAY
-        )
-    usual = _spans(np.concatenate([episode.state for episode in recording.episodes]))
-    if not usual.any():
+    states = [episode.state for episode in recording.episodes]
+    usual = _between(np.concatenate(states), 2, 98)
+    steps = _between(np.concatenate([_steps(state) for state in states]), 0, 95)
+    tells = steps < NOISY * usual
+
+    def moves(state: np.ndarray) -> bool:
+        if grip is not None:
+            return bool(np.linalg.norm(_between(state[:, list(grip)], 0, 100)) > WAY)
+        goes = _between(state, 0, 100) > SPAN * usual
+        return bool(2 * goes[tells].sum() > tells.sum())
+
+    if not any(map(moves, states)):
         return None
-    far = np.where(usual > 0, SPAN * usual, np.inf)
-    return lambda e, first, last: bool(
-        (_spans(recording.episodes[e].state[first : last + 1]) > far).any()
-    )
+    return lambda e, first, last: moves(states[e][first : last + 1])
 
 
-def _spans(values: np.ndarray) -> np.ndarray:
-    """How far apart the ends of columns are [S]; of numbers that are some."""
-    is_number = np.isfinite(values)
-    high = np.where(is_number, values, -np.inf).max(0, initial=-np.inf)
-    low = np.where(is_number, values, np.inf).min(0, initial=np.inf)
-    return np.maximum(high - low, 0)
+def _steps(state: np.ndarray) -> np.ndarray:
+    """How far numbers go from one step to the next."""
+    with np.errstate(invalid="ignore"):  # from infinity to infinity
+        return abs(np.diff(state, axis=0))
+
+
+def _between(values: np.ndarray, low: float, high: float) -> np.ndarray:
+    """How far apart two percentiles of each column are [S], of numbers that are some."""
+    columns = [column[np.isfinite(column)] for column in values.T]
+    return np.array([np.ptp(np.percentile(c, [low, high])) if len(c) else 0.0 for c in columns])
