@@ -186,23 +186,38 @@ def _about(old: Any, changes: Changes) -> dict[str, Any]:
         known = dict(known) if isinstance(known, dict) else {}
         if view in changes.everywhere:  # poses of single episodes are gone
             known = {k: v for k, v in known.items() if _episodes_of(v) is None}
+        again = {str(e) for note in entries.values() for e in _episodes_of(note) or ()}
+        left = {k: _without(v, again) for k, v in known.items()}
+        known = {k: v for k, v in left.items() if v is not None}
         notes = {k: _with_episodes(known.get(k), v) for k, v in entries.items()}
         calibration[view] = known | {k: {"date": date, **v} for k, v in notes.items()}
     return about | {"calibration": calibration}
 
 
+def _without(note: Any, again: set[str]) -> Any:
+    """A note without episodes that have another pose now; None if it was on no others."""
+    episodes = _episodes_of(note)
+    if not episodes:
+        return note
+    left = [e for e in episodes if str(e) not in again]
+    others = {e: episodes[e] for e in left} if isinstance(episodes, dict) else left
+    return note | {"episodes": others} if left else None
+
+
 def _with_episodes(old: Any, new: dict[str, Any]) -> dict[str, Any]:
     """A note on some episodes is on those before, too: their poses are still there."""
     before, later = _episodes_of(old), _episodes_of(new)
-    if before is None or later is None:
-        return new
-    return new | {"episodes": before + [e for e in later if e not in before]}
+    if isinstance(before, list) and isinstance(later, list):
+        return new | {"episodes": before + later}
+    if isinstance(before, dict) and isinstance(later, dict):
+        return new | {"episodes": before | later}
+    return new
 
 
-def _episodes_of(note: Any) -> list[Any] | None:
-    """The episodes that a note is on; None if it is on a view in all of them."""
+def _episodes_of(note: Any) -> list[Any] | dict[str, Any] | None:
+    """The episodes that a note is on, or what it says of each; None if it is on all of a view."""
     episodes = note.get("episodes") if isinstance(note, dict) else None
-    return episodes if isinstance(episodes, list) else None
+    return episodes if isinstance(episodes, list | dict) else None
 
 
 def _text(content: Any, indent: int = 0) -> str:

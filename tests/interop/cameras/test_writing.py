@@ -148,3 +148,22 @@ def test_notes_on_episodes_name_those_before_too(tmp_path):
     assert drift(2, 7) == {"drift": [1, 2, 7]}
     assert noted({"lens": {"px": 0.1}}) == {"drift": [1, 2, 7], "lens": None}
     assert noted({"arm": {"mm": 2}}, everywhere=("front",)) == {"lens": None, "arm": None}
+
+
+def test_what_is_known_of_a_pose_stays_as_long_as_the_pose(tmp_path):
+    path = tmp_path / "cameras.json"
+
+    def noted(name, episodes):
+        poses = {str(n): {"front": pose_json(POSE)} for n in episodes}
+        about = {name: {"episodes": episodes}}
+        update_cameras(path, Changes(episodes=poses, about={"front": about}))
+        notes = json.loads(path.read_text())["about"]["calibration"]["front"]
+        return {name: note["episodes"] for name, note in notes.items()}
+
+    one, two, other = {"rms": 0.1}, {"rms": 0.2}, {"rms": 0.3}
+    assert noted("tags", {"1": one, "2": two}) == {"tags": {"1": one, "2": two}}
+    both = {"1": one, "2": other, "3": other}
+    assert noted("tags", {"2": other, "3": other}) == {"tags": both}
+    assert noted("drift", [3, 4]) == {"tags": {"1": one, "2": other}, "drift": [3, 4]}
+    assert noted("tags", {"3": one}) == {"tags": {"1": one, "2": other, "3": one}, "drift": [4]}
+    assert set(noted("tags", {"4": one})) == {"tags"}

@@ -198,8 +198,9 @@ def _changes(located: Sequence[Located], *, everywhere: bool) -> Changes:
         entries = pose_json(one.fit.base_from_camera)
         if one.episode:
             episodes.setdefault(one.episode, {})[one.view] = entries
-            poses = about.setdefault(one.view, {"pose": {"by": "tags", "episodes": {}}})
-            poses["pose"]["episodes"][one.episode] = pose_about(one)
+            # Not as the view's pose, which stays, and so does what is known of it.
+            notes = about.setdefault(one.view, {"tags": {"by": "tags", "episodes": {}}})
+            notes["tags"]["episodes"][one.episode] = pose_about(one)
         else:
             views[one.view] = entries
             about[one.view] = {"pose": {"by": "tags", **pose_about(one)}}

@@ -64,7 +64,9 @@ def test_episodes_of_a_dataset_give_a_pose_each_where_the_camera_moved(place, mo
     poses = [eye(far=0.6), eye(far=0.6), eye(azimuth=0.7, far=0.65)]
     pictures = [drawn_tags([pose] * 2, tag_frames(), seed=i) for i, pose in enumerate(poses)]
     root = write_dataset(place / "data", monkeypatch, pictures)
-    (place / "cameras.json").write_text(json.dumps({"format": 1, "views": {"front": VIEW}}))
+    known = {"calibration": {"front": {"pose": {"by": "hand-eye"}}}}
+    content = {"format": 1, "views": {"front": VIEW}, "about": known}
+    (place / "cameras.json").write_text(json.dumps(content))
     assert exit_code("calibrate", "tags", root) == 0
     assert "front, episode" in capsys.readouterr().out
     recording = read_recording(root, place / "cameras.json")
@@ -72,6 +74,9 @@ def test_episodes_of_a_dataset_give_a_pose_each_where_the_camera_moved(place, mo
         assert near(episode.sights["front"].calibration.base_from_camera, pose)
     content = json.loads((place / "cameras.json").read_text())
     assert set(content["episodes"]) == {"0", "1", "2"}
+    notes = content["about"]["calibration"]["front"]
+    assert notes["pose"] == {"by": "hand-eye"}  # on the view's own pose, as before
+    assert set(notes["tags"]["episodes"]) == {"0", "1", "2"}
 
 
 def test_a_camera_that_stood_still_gets_one_pose(place, monkeypatch):
