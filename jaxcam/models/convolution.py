@@ -18,6 +18,8 @@ ROWS = 512
 """Pixels that matrix products have at least: where pictures have fewer, of several pictures."""
 USUAL = None, 1, (1, 1)
 """Values of options that change nothing."""
+LAYOUT = "NHWC", "HWIO", "NHWC"
+"""Of pictures, kernels, and pictures that come out."""
 
 Pads = tuple[tuple[int, int], ...]
 
@@ -32,14 +34,17 @@ def convolve(
         kernel: Weights [h, w, I, O].
         strides: Down and to the right (pixels).
         padding: Pixels before and after, for both directions.
-        options: Others that `jax.lax.conv_general_dilated` has; where one is not as usual, all is
-            XLA's.
+        options: Others that `jax.lax.conv_general_dilated` has; where one is not as usual, such as
+            another layout than this, all is XLA's.
 
     Returns:
         Pictures [B, H', W', O].
     """
-    unusual = {k for k, v in options.items() if k != "dimension_numbers" and v not in USUAL}
-    if unusual or isinstance(padding, str):
+    layout = options.setdefault("dimension_numbers", LAYOUT)
+    numbers = functools.partial(lax.conv_dimension_numbers, x.shape, kernel.shape)
+    is_usual = x.ndim == 4 and numbers(layout) == numbers(LAYOUT)
+    is_usual &= all(v in USUAL for k, v in options.items() if k != "dimension_numbers")
+    if not is_usual or isinstance(padding, str):
         return lax.conv_general_dilated(x, kernel, strides, padding, **options)
     return _convolve(x, kernel, tuple(strides), tuple((a, b) for a, b in padding))
 
@@ -50,9 +55,7 @@ def _convolve(x: jax.Array, kernel: jax.Array, strides: tuple[int, ...], pads: P
 
 
 def _plain(x: jax.Array, kernel: jax.Array, strides: tuple[int, ...], pads: Pads) -> jax.Array:
-    return lax.conv_general_dilated(
-        x, kernel, strides, pads, dimension_numbers=("NHWC", "HWIO", "NHWC")
-    )
+    return lax.conv_general_dilated(x, kernel, strides, pads, dimension_numbers=LAYOUT)
 
 
 def _forward(

@@ -8,10 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flax import nnx
 from policy_inputs import make_batch, make_plain, shapes, tiny
 
 from jaxcam.models import ACT_PRESETS
 from jaxcam.models.convolution import convolve
+from jaxcam.models.layers import conv
 
 
 def plain(x, kernel, strides, padding):
@@ -84,6 +86,18 @@ def test_what_is_unusual_is_xlas(kernel, options, pads):
 
     for got, expected in zip(slopes(convolve), slopes(jax.lax.conv_general_dilated), strict=True):
         np.testing.assert_allclose(got, expected, rtol=1e-5, atol=1e-5)
+
+
+def test_a_layout_that_fits_by_its_shape_alone_is_not_taken_for_ours():
+    x, k, pads = numbers(0, 4, 4, 4, 4), numbers(1, 4, 4, 4, 4), [(1, 1), (1, 1)]
+    layout = {"dimension_numbers": ("NCHW", "OIHW", "NCHW")}
+    expected = jax.lax.conv_general_dilated(x, k, (1, 1), pads, **layout)
+    np.testing.assert_allclose(convolve(x, k, (1, 1), pads, **layout), expected, atol=1e-5)
+
+
+def test_layers_have_our_gradients():
+    layer = conv(4, 6, 3, rngs=nnx.Rngs(0), dtype=jnp.float32)
+    assert "custom_vjp" in str(jax.make_jaxpr(layer)(numbers(0, 2, 8, 8, 4)))
 
 
 def test_it_maps_over_batches():
