@@ -93,11 +93,12 @@ def _corners(mesh: Mesh) -> Mesh | None:
     low, high = corners.min((0, 1)), corners.max((0, 1))
     sides = np.diff(corners[..., :2], axis=1)
     areas = (sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]) / 2
-    is_once = len(np.unique(np.round(corners.mean(1), 6), axis=0)) == len(corners)
     is_up = bool(areas[0] > 0)
-    if low[2] != high[2] or ((areas > 0) != is_up).any() or not is_once:
+    if low[2] != high[2] or ((areas > 0) != is_up).any() or not _covers(corners, low, high):
         return None
     if not np.isclose(abs(areas).sum(), np.prod(high[:2] - low[:2])):
+        return None
+    if not np.allclose(mesh.normals, mesh.normals[:1], atol=1e-5):
         return None
     planar = np.c_[mesh.vertices[:, :2], np.ones(len(mesh.vertices))].astype(float)
     uv_from_xy1 = np.linalg.lstsq(planar, mesh.uvs, rcond=None)[0]
@@ -111,3 +112,12 @@ def _corners(mesh: Mesh) -> Mesh | None:
         np.repeat(mesh.normals[:1], 4, 0),
         (np.c_[corners[:, :2], np.ones(4)] @ uv_from_xy1).astype(np.float32),
     )
+
+
+def _covers(corners: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
+    """Whether all edges of triangles [m, 3, 3] but a rectangle's are between two of them each."""
+    edges = np.stack([corners, np.roll(corners, -1, 1)], 2)[..., :2].reshape(-1, 2, 2)
+    is_side = ((edges == low[:2]).all(1) | (edges == high[:2]).all(1)).any(1)
+    there = edges[~is_side].reshape(-1, 4)
+    back = there[:, [2, 3, 0, 1]]
+    return np.array_equal(there[np.lexsort(there.T)], back[np.lexsort(back.T)])

@@ -76,6 +76,8 @@ def lighten(entity: sapien.Entity) -> None:
     light.shading_mode = body.shading_mode
     if body.is_render_id_disabled:
         light.disable_render_id()
+    if not body.is_enabled:
+        light.disable()
     entity.remove_component(body)
     entity.add_component(light)
 

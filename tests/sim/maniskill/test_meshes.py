@@ -44,6 +44,15 @@ def test_a_floor_is_seen_from_the_side_that_it_was_seen_from(meshes):
         assert meshes.fewer(other, has_texture=True) is other
 
 
+def test_triangles_that_overlap_or_are_lit_as_if_bent_are_no_rectangle(meshes):
+    square = np.float32([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    up = np.tile(np.float32([0, 0, 1]), (4, 1))
+    half_twice = meshes.Mesh(square, np.array([[0, 1, 2], [0, 1, 3]]), up, square[:, :2])
+    bent = half_twice._replace(triangles=np.array([[0, 1, 2], [0, 2, 3]]), normals=square + 0.1)
+    for other in (half_twice, bent):
+        assert meshes.fewer(other, has_texture=True) is other
+
+
 def test_what_has_a_texture_a_hole_or_few_triangles_stays(meshes):
     bumpy = sheet(meshes, lambda x, y: np.sin(9 * x) * y)
     assert meshes.fewer(bumpy, has_texture=True) is bumpy

@@ -50,6 +50,17 @@ def test_a_scaled_mesh_keeps_its_size_and_its_side(sapien):
     assert (body.name, body.visibility, body.is_render_id_disabled) == ("hand", 0.5, True)
 
 
+def test_a_body_that_is_not_drawn_stays_so(sapien):
+    body, entity = sapien.render.RenderBodyComponent(), sapien.Entity()
+    body.attach(ball(sapien, [1, 1, 1]))
+    body.disable()
+    entity.add_component(body)
+    from jaxcam.sim.maniskill.scenery import lighten
+
+    lighten(entity)
+    assert not entity.find_component_by_type(sapien.render.RenderBodyComponent).is_enabled
+
+
 def test_boxes_and_balls_stay_what_they_are(sapien):
     """As the hands of some robots are; their parts are of a box of one metre."""
     render = sapien.render
