@@ -14,22 +14,19 @@ from jaxcam.config.names import ActionFrame, Conditioning, names_of
 from jaxcam.errors import ConfigError, closest
 from jaxcam.models.resnet import NORMS
 
-# Azimuth 0, elevation 45 degrees, 0.95 m from (0, 0, 0.8) in a world where the robot's base stands
-# at (-0.56, 0, 0.912): the middle of the cameras of the paper.
-_C = 0.5**0.5
-NOMINAL_POSE = (
-    (0.0, _C, -_C, 0.56 + 0.95 * _C),
-    (1.0, 0.0, 0.0, 0.0),
-    (0.0, -_C, -_C, 0.8 - 0.912 + 0.95 * _C),
-    (0.0, 0.0, 0.0, 1.0),
-)
-
-
-UNMOVED = tuple(tuple(float(i == j) for j in range(4)) for i in range(4))
 TABLE_HEIGHT = 0.8 - 0.912
 """Of the paper's table over the base, metres."""
 TABLE_MIDDLE = (0.56, 0.0, TABLE_HEIGHT)
 """Of it in the base frame, metres."""
+# Azimuth 0, elevation 45 degrees, 0.95 m from the table's middle: that of the paper's cameras.
+_C = 0.5**0.5
+NOMINAL_POSE = (
+    (0.0, _C, -_C, TABLE_MIDDLE[0] + 0.95 * _C),
+    (1.0, 0.0, 0.0, 0.0),
+    (0.0, -_C, -_C, TABLE_HEIGHT + 0.95 * _C),
+    (0.0, 0.0, 0.0, 1.0),
+)
+UNMOVED = tuple(tuple(float(i == j) for j in range(4)) for i in range(4))
 IN_ATTENTION = ("prope", "gta", "ray_rope")
 """The ways that need attention between tokens that have a place in a picture."""
 

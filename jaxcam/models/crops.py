@@ -1,6 +1,6 @@
 """Crops of image and camera together.
 
-This is the only door through which pictures change, and it moves K with the pixels, so a ray-map
+This is the only door through which pixels change places, and it moves K with them, so a ray-map
 computed afterwards belongs to the picture that the policy sees (paper, section V-A3).
 """
 

@@ -1,6 +1,7 @@
 """Whether films show anything, and go on while the robot moves."""
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 import cv2
 import numpy as np
@@ -89,19 +90,27 @@ def _fault(grey: np.ndarray, steps: np.ndarray, goes: Callable[[int, int], bool]
 def _motion(recording: Recording, grip: Sequence[int] | None) -> Goes | None:
     """None where no state says whether the robot moves."""
     states = [episode.state for episode in recording.episodes]
+    moves = _robot_moves(states) if grip is None else partial(_grip_moves, columns=list(grip))
+    if not any(map(moves, states)):
+        return None
+    return lambda e, first, last: moves(states[e][first : last + 1])
+
+
+def _grip_moves(state: np.ndarray, columns: list[int]) -> bool:
+    return bool(np.linalg.norm(_between(state[:, columns], 0, 100)) > WAY)
+
+
+def _robot_moves(states: Sequence[np.ndarray]) -> Callable[[np.ndarray], bool]:
+    """Whether most numbers of a state go far, of those that are not noise."""
     usual = _between(np.concatenate(states), 2, 98)
     steps = _between(np.concatenate([_steps(state) for state in states]), 0, 95)
     tells = steps < NOISY * usual
 
     def moves(state: np.ndarray) -> bool:
-        if grip is not None:
-            return bool(np.linalg.norm(_between(state[:, list(grip)], 0, 100)) > WAY)
         goes = _between(state, 0, 100) > SPAN * usual
         return bool(2 * goes[tells].sum() > tells.sum())
 
-    if not any(map(moves, states)):
-        return None
-    return lambda e, first, last: moves(states[e][first : last + 1])
+    return moves
 
 
 def _steps(state: np.ndarray) -> np.ndarray:
