@@ -20,6 +20,9 @@ TURN = 0.06
 """Largest turn (rad) of a set-point in one control step; faster, the arm swings (authors: 0.2)."""
 STRAY_STEPS = (2, 6)
 """Control steps for which a set-point strays, from and below."""
+SPIN = 0.2
+"""Largest turn (rad) in one control step of a set-point that strays from its turn, too (authors'
+limit of any turn, Square)."""
 AIMED = 0.1
 """Angle (rad) between grip and goal that is near enough (authors' code, Square)."""
 PATIENCE = 80
@@ -93,6 +96,7 @@ class Hand:
         turn: Callable[[], np.ndarray] | None = None,
         trim: float = 0.0,
         stray: float = 0.0,
+        spin: float = 0.0,
     ) -> Iterator[Aim]:
         """Moves towards a goal (m, world), which may move, until the grip is within `tolerance`.
 
@@ -108,8 +112,12 @@ class Hand:
                 goes on per step, once it is there itself.
             stray: Chance per step to stray for a moment in a random direction. Corrections of
                 such errors are what a policy must be shown to recover from its own.
+            spin: Largest turn (rad) per step, about the vertical, of a set-point that strays; 0
+                goes on turning to `turn`. A policy that is shown hands which always turn the right
+                way reads the turn off its own joints.
         """
         rng, astray, drift, extra = self._sight.rng, 0, np.zeros(3), np.zeros(3)
+        twist = np.zeros(3)
         for _ in range(PATIENCE):
             way = goal() + extra - self._point
             if trim and np.linalg.norm(way) < STEP / 2:
@@ -119,10 +127,13 @@ class Hand:
                 astray = int(rng.integers(*STRAY_STEPS))
                 direction = rng.normal(size=3)
                 drift = STEP * rng.random() * direction / np.linalg.norm(direction)
+                twist[2] = rng.uniform(-spin, spin) if spin else 0
+            if astray and spin:
+                self._rotation = matrix_from_rotvec(twist) @ self._rotation
+            elif turn is not None:
+                self._turn(turn())
             if astray:
                 astray, move = astray - 1, drift
-            if turn is not None:
-                self._turn(turn())
             yield self._move(move, gripper)
             near = np.linalg.norm(goal() - self._sight.grip_position) < tolerance
             if near and not astray and (turn is None or self._angle(turn()) < AIMED):

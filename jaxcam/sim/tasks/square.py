@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from jaxcam.rays.rotations import Array, array_namespace, matrix_from_rotvec
-from jaxcam.sim.experts import CLOSE, OPEN, Hand, easy_grip, funnel
+from jaxcam.sim.experts import CLOSE, OPEN, SPIN, Hand, easy_grip, funnel
 from jaxcam.sim.mujoco.objects import Compound, Piece, SquareNut
 from jaxcam.sim.mujoco.table import TABLE_TOP, TableTask
 from jaxcam.sim.types import Aim, ExpertSight, Start, State
@@ -36,6 +36,12 @@ GRIP, GRASP, HOVER = 0.062, 0.003, 0.12
 above that it comes from."""
 REACH = 0.72
 """Distance (m) from the robot's base up to which an upright hand works well."""
+MISSES, MISS, ASKEW = 0.5, 0.02, 1.0
+"""Share of the demonstrations that grip badly first, and how badly: deviation (m) of the place
+along x and along y, and largest angle (rad)."""
+WELL_HELD, STRAIGHT, LAID = 0.012, 0.35, 0.02
+"""A nut is well held that is within so much (m) of its place in the grip, and as straight (sine of
+the angle); else it is laid down, with the grip so high (m) above the table."""
 UP, OVER, DOWN = 0.07, 0.16, 0.026
 """Heights (m) of the nut above the table when lifted, over the peg, and when let go."""
 
@@ -99,10 +105,14 @@ class Square(TableTask):
         return around & (middle[..., 2] < TABLE_TOP + LOW)
 
     def expert(self, scene: World, sight: ExpertSight) -> Iterator[Aim]:
-        """Turn over the handle, down, close, up, over the peg, down around it, open, away."""
+        """Turn over the handle, down, close, up, over the peg, down around it, open, away.
+
+        Often it grips beside the handle or askew first, sees that, puts down what it holds and
+        grips again: so policies are shown how to go on from bad grips of their own.
+        """
         at, peg = scene.qpos_of("nut"), scene.qpos_of("peg")
         nut, base = slice(at, at + 3), scene.world_from_base[:3, 3]
-        hand = Hand(sight)
+        hand, rng = Hand(sight), sight.rng
 
         def along() -> np.ndarray:
             return _x_axis(sight.qpos[at + 3 : at + 7])
@@ -110,8 +120,27 @@ class Square(TableTask):
         def grasp() -> np.ndarray:
             return sight.qpos[nut] + GRIP * along() + [0, 0, GRASP]
 
-        def over_handle(least: float = 0) -> np.ndarray:
-            return np.add(grasp(), [0, 0, funnel(sight.grip_position - grasp(), least, HOVER)])
+        def grip(miss: np.ndarray, askew: float, tolerance: float) -> Iterator[Aim]:
+            def over_handle(least: float = 0) -> np.ndarray:
+                there = grasp() + miss
+                return np.add(there, [0, 0, funnel(sight.grip_position - there, least, HOVER)])
+
+            def across() -> np.ndarray:
+                at, close = sight.grip_position, np.cross([0, 0, 1], along())
+                close = -close if _twist(base, at, close) > np.pi / 2 else close
+                return easy_grip(base, at, matrix_from_rotvec(np.array([0, 0, askew])) @ close)
+
+            yield from hand.reach(
+                lambda: over_handle(HOVER), OPEN, tolerance=0.04, turn=across, stray=0.06, spin=SPIN
+            )
+            yield from hand.reach(over_handle, OPEN, tolerance=tolerance, turn=across, trim=0.05)
+            yield from hand.hold(CLOSE, steps=9)
+            up = np.array([*sight.grip_position[:2], TABLE_TOP + UP])
+            yield from hand.reach(lambda: up, CLOSE, tolerance=0.03)
+
+        def is_held() -> bool:
+            off = np.linalg.norm(sight.grip_position - grasp())
+            return bool(off < WELL_HELD and abs(sight.grip_rotation[:, 0] @ along()) < STRAIGHT)
 
         def over_peg() -> np.ndarray:
             there = np.array([*sight.qpos[peg : peg + 2], TABLE_TOP])
@@ -120,17 +149,15 @@ class Square(TableTask):
             height = DOWN if threaded else funnel(off, DOWN, OVER, inside=0.008, slope=20)
             return sight.grip_position - off + [0, 0, height]
 
-        def across() -> np.ndarray:
-            at, close = sight.grip_position, np.cross([0, 0, 1], along())
-            return easy_grip(base, at, -close if _twist(base, at, close) > np.pi / 2 else close)
-
-        yield from hand.reach(
-            lambda: over_handle(HOVER), OPEN, tolerance=0.04, turn=across, stray=0.06
-        )
-        yield from hand.reach(over_handle, OPEN, tolerance=0.008, turn=across, trim=0.05)
-        yield from hand.hold(CLOSE, steps=9)
-        up = np.array([*sight.grip_position[:2], TABLE_TOP + UP])
-        yield from hand.reach(lambda: up, CLOSE, tolerance=0.03)
+        if rng.random() < MISSES:
+            miss = np.array([*rng.normal(0, MISS, 2), 0])
+            yield from grip(miss, rng.uniform(-ASKEW, ASKEW), tolerance=0.025)
+        if not is_held():
+            down = np.array([*sight.grip_position[:2], TABLE_TOP + LAID])
+            if sight.qpos[at + 2] > TABLE_TOP + UP / 2:
+                yield from hand.reach(lambda: down, CLOSE, tolerance=0.02)
+            yield from hand.hold(OPEN, steps=4)
+            yield from grip(np.zeros(3), 0, tolerance=0.008)
         turned = _over_peg(base, sight.qpos[peg : peg + 3], sight.grip_rotation[:, 0], along())
         yield from hand.reach(
             over_peg,
