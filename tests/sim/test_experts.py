@@ -98,7 +98,7 @@ def test_a_turn_is_bounded_and_arrives():
 def test_a_hand_that_strays_turns_the_wrong_way_too_and_comes_back():
     def aims(spin):
         sight = make_sight()
-        goal = matrix_from_rotvec(np.array([0.0, 0, 1.5])) @ sight.grip_rotation
+        goal = matrix_from_rotvec(np.array([0.0, 0, -1.5])) @ sight.grip_rotation
         left, before = [], sight.grip_rotation
         reach = Hand(sight).reach(
             lambda: sight.grip_position, 1, tolerance=1, turn=lambda: goal, stray=0.1, spin=spin
