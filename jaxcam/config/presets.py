@@ -140,6 +140,7 @@ PRESETS: dict[tuple[PolicyName, PresetName], Preset] = {
 # What single tasks need otherwise; docs/results.md has what was tried.
 OF_TASKS: dict[tuple[PolicyName, PresetName, str], dict[str, Any]] = {
     ("act", "laptop", "lift"): {"steps": 2000},
+    ("act", "laptop", "square"): {"steps": 8000},
     ("act", "attention", "lift"): {"steps": 2000},
 }
 
