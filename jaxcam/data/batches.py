@@ -4,7 +4,7 @@ No iterator holds state: `Samples.index(seed, step)` names the samples of a step
 stretch of them, so a resumed run, another prefetch depth or other machines see the same batches.
 """
 
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
@@ -15,7 +15,7 @@ from jaxcam.config.sizes import size_name
 from jaxcam.config.train import TrainConfig
 from jaxcam.data.demos import Demo, Demos
 from jaxcam.data.pictures import Pictures
-from jaxcam.data.samples import Samples, history
+from jaxcam.data.samples import Samples, errors_of, history
 from jaxcam.models.action_frame import seen_actions, seen_points
 from jaxcam.models.normalization import STD_FLOOR
 from jaxcam.models.policy import Batch
@@ -78,6 +78,10 @@ class Dataset:
     ray_frames: np.ndarray | None = field(default=None, repr=False)
     """Before each action, the frame that policies are told their cameras in, from the base
     [D, T, 4, 4]; None is the base."""
+    errors: np.ndarray | None = field(default=None, repr=False)
+    """Which actions err on purpose, bool [D, T]: chunks have them as padding; None if none does."""
+    keyframe_errors: np.ndarray | None = field(default=None, repr=False)
+    """Where the grip's command next changes by error, so that nobody knows the keyframe, [D, T]."""
     named: bool = False
     """Whether batches say of what they are: `demo` [B], and `camera` [B, V], the row of each view's
     first picture; errors of calibrations go by these."""
@@ -93,7 +97,7 @@ class Dataset:
     @property
     def samples(self) -> Samples:
         """Which of its samples a run takes."""
-        return Samples(self.pictures.layout, self.train, self.ordered)
+        return Samples(self.pictures.layout, self.train, self.ordered, self.errors)
 
     def stats(self) -> dict[str, np.ndarray]:
         """Statistics of the training demonstrations, float32; population std as the authors'."""
@@ -120,6 +124,8 @@ class Dataset:
         steps = t[:, None] + np.arange(chunk) - (obs_steps - 1)
         is_pad = (steps < 0) | (steps >= self.lengths[demo][:, None])
         where = demo[:, None], np.clip(steps, 0, self.actions.shape[1] - 1)
+        if self.errors is not None:
+            is_pad |= self.errors[where]
         times = history(t, obs_steps)
         rows = self.pictures.layout.at(demo[:, None, None], times[..., None], views[:, None])
         cameras = np.stack([self._cameras(*x) for x in zip(demo, times, views, strict=True)])
@@ -146,6 +152,8 @@ class Dataset:
             name: np.where(is_pad[..., None], 0, of_all[where])
             for name, of_all in self._targets({}).items()
         }
+        if self.keyframe_errors is not None:
+            observed["keyframe_is_pad"] = is_pad | self.keyframe_errors[where]
         return {**observed, **targets, "is_pad": is_pad}
 
     def _cameras(self, demo: int, times: np.ndarray, views: np.ndarray) -> np.ndarray:
@@ -203,6 +211,7 @@ def make_dataset(
     """
     longest = int(pictures.layout.lengths.max())
     actions, keyframes, proprio, ray_frames = [], [], [], []
+    errors = errors_of(demos)
     for demo in demos.episodes:
         moves = demo_actions(demo, space, scene)
         state = scene.proprio(demo.qpos, demo.eef_pos)[:-1]
@@ -227,6 +236,8 @@ def make_dataset(
         proprio=np.stack(proprio).astype(np.float32),
         distortion=None if lenses is None else lenses.astype(np.float32),
         windows=[d.cameras for d in demos.episodes],
+        errors=errors,
+        keyframe_errors=None if errors is None else _keyframe_errors(demos.episodes, errors),
         ray_frames=np.stack(ray_frames) if ray_frames else None,
         train=len(demos.train),
         fingerprint=f"{demos.fingerprint}-{size_name(height, width)}px-"
@@ -268,11 +279,23 @@ def demo_actions(demo: Demo, space: str, scene: World) -> np.ndarray:
 
 def _keyframes(demo: Demo, scene: World) -> np.ndarray:
     """Where the grip is when its command next changes, or at the end [T, 3], base frame."""
+    world = demo.eef_pos[_next_changes(demo)]
+    return (world - scene.world_from_base[:3, 3]) @ scene.world_from_base[:3, :3]
+
+
+def _keyframe_errors(demos: Sequence[Demo], errors: np.ndarray) -> np.ndarray:
+    """Where the next change of the gripper's command is an error, bool as `errors` [D, T]."""
+    by_error = np.zeros_like(errors)
+    for row, own, demo in zip(by_error, errors, demos, strict=True):
+        row[: demo.length] = np.append(own[: demo.length], False)[_next_changes(demo)]
+    return by_error
+
+
+def _next_changes(demo: Demo) -> np.ndarray:
+    """The step at which the gripper's command next changes, or the last state's, [T]."""
     gripper = np.sign(demo.actions[:, -1])
     changes = np.append(np.flatnonzero(np.diff(gripper)) + 1, demo.length)
-    following = changes[np.searchsorted(changes, np.arange(demo.length), side="right")]
-    world = demo.eef_pos[following]
-    return (world - scene.world_from_base[:3, 3]) @ scene.world_from_base[:3, :3]
+    return changes[np.searchsorted(changes, np.arange(demo.length), side="right")]
 
 
 def stacked_batches(

@@ -176,6 +176,7 @@ def run_expert(task: Task, scene: World, engine: Engine, seeds: list[int]) -> li
     experts = [task.expert(scene, sight) for sight in sights]
     trace: list[State] = [state]
     commands: list[np.ndarray] = []
+    errors: list[np.ndarray] = []
     lengths = np.full(len(seeds), task.horizon)
     while len(commands) < task.horizon:
         check_stop()
@@ -189,12 +190,13 @@ def run_expert(task: Task, scene: World, engine: Engine, seeds: list[int]) -> li
         command = np.stack([_command(aim) for aim in aims])
         state = engine.step(state, Command(command[:, :6], command[:, 6]), active=running)
         commands.append(command)
+        errors.append(np.array([aim is not None and aim.error for aim in aims]))
         trace.append(state)
         for sight, position, rotation, qpos in zip(sights, *_sensed(state), strict=True):
             sight.grip_position, sight.grip_rotation, sight.qpos = position, rotation, qpos
     done = task.success(scene, trace[-1], start) & state.ok
     return [
-        _demo(trace, commands, start, i, seed, int(lengths[i])) if done[i] else None
+        _demo(trace, commands, errors, start, i, seed, int(lengths[i])) if done[i] else None
         for i, seed in enumerate(seeds)
     ]
 
@@ -210,7 +212,13 @@ def _command(aim: Aim | None) -> np.ndarray:
 
 
 def _demo(
-    trace: list[State], commands: list[np.ndarray], start: Start, i: int, seed: int, length: int
+    trace: list[State],
+    commands: list[np.ndarray],
+    errors: list[np.ndarray],
+    start: Start,
+    i: int,
+    seed: int,
+    length: int,
 ) -> Demo:
     states = trace[: length + 1]
     return Demo.record(
@@ -222,6 +230,7 @@ def _demo(
         grip_position=np.stack([s.grip_position[i] for s in states]),
         grip_rotation=np.stack([s.grip_rotation[i] for s in states]),
         gripper=np.array([s.closed[i] for s in states]),
+        errors=np.array([e[i] for e in errors[:length]]),
     )
 
 

@@ -28,6 +28,8 @@ ARRAYS: Mapping[str, str] = {
     "start/fixtures": "fixtures",
 }
 """Paths of a demonstration's arrays in its group, and their fields of `Demo`."""
+ERRORS = "errors"
+"""Path, and field of `Demo`, of an array that only demonstrations have which err on purpose."""
 SEAL = "sha256_of_all"
 """Attribute of `data` with the hash of everything that is read (`seal_of_all`)."""
 OLD_SEAL = "sha256"
@@ -170,6 +172,7 @@ def check_arrays(where: str, arrays: Mapping[str, np.ndarray], *, nq: int, nv: i
         "gripper": (rows,),
         "geom_size": (None, 3),
         "fixtures": (None, 7),
+        **({ERRORS: (steps,)} if ERRORS in arrays else {}),
     }
     for name, shape in shapes.items():
         array = arrays[name]
@@ -178,7 +181,10 @@ def check_arrays(where: str, arrays: Mapping[str, np.ndarray], *, nq: int, nv: i
         ):
             asked = str(["any" if x is None else x for x in shape]).replace("'", "")
             raise DatasetError(f"{where}: {name} is {list(array.shape)}, expected {asked}.")
-        _check_numbers(where, name, array)
+        if name == ERRORS:
+            _check_errors(where, array)
+        else:
+            _check_numbers(where, name, array)
     _check_possible(where, arrays, nq, nv)
 
 
@@ -207,6 +213,16 @@ def check_starts(path: Path, task: str, scene: str, starts: Iterable[HasStart]) 
                     f"{path}: data/demo_{i}: {name} has {len(got)} rows, but in {task} it has "
                     f"{counts[name]}."
                 )
+
+
+def _check_errors(where: str, array: np.ndarray) -> None:
+    if array.dtype.kind != "b":
+        raise DatasetError(f"{where}: {ERRORS} is {array.dtype}, expected true or false.")
+    if array.all():
+        raise DatasetError(
+            f"{where}: all {array.size} steps are {ERRORS}, so nothing is left to imitate. Leave "
+            "the demonstration out."
+        )
 
 
 def _check_numbers(where: str, name: str, array: np.ndarray) -> None:

@@ -6,6 +6,7 @@ A file holds no pictures; they are rendered from its states (`jaxcam.data.pictur
     data/demo_<i>           attrs: num_samples, seed, cameras (rows of cameras/*)
       states  [T + 1, 1 + nq + nv]   time, qpos, qvel before each action, and after the last one
       actions [T, 7]                 commanded grip pose (m, rotation vector; world), gripper sign
+      errors  [T]                    whether a command errs on purpose; only where some do
       obs/robot0_eef_pos  [T + 1, 3] measured grip site (m, world)
       obs/robot0_eef_quat [T + 1, 4] the same, xyzw as robomimic has it
       obs/robot0_gripper  [T + 1]    the gripper's command in [-1 open, 1 closed]
@@ -33,6 +34,7 @@ import numpy as np
 
 from jaxcam.data.contents import (
     ARRAYS,
+    ERRORS,
     OLD_SEAL,
     SEAL,
     check_about,
@@ -79,6 +81,8 @@ class Demo:
     fixtures: np.ndarray = field(repr=False)
     cameras: np.ndarray
     """Rows of the file's cameras that see this demonstration [n]."""
+    errors: np.ndarray | None = field(default=None, repr=False)
+    """Whether each command errs on purpose (`Aim.error`), bool [T]; None where none does."""
 
     @property
     def length(self) -> int:
@@ -97,7 +101,8 @@ class Demo:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Its arrays by their names in a file."""
-        return {name: getattr(self, of) for name, of in ARRAYS.items()}
+        arrays = {name: getattr(self, of) for name, of in ARRAYS.items()}
+        return arrays if self.errors is None else {**arrays, ERRORS: self.errors}
 
     def start(self) -> Start:
         """What fixes the episode before its first step."""
@@ -122,6 +127,7 @@ class Demo:
         grip_position: np.ndarray,
         grip_rotation: np.ndarray,
         gripper: np.ndarray,
+        errors: np.ndarray | None = None,
     ) -> "Demo":
         """A demonstration as it is made, without cameras.
 
@@ -134,6 +140,7 @@ class Demo:
             grip_position: Measured grip site (m, world) [T + 1, 3].
             grip_rotation: Its axes in the world, [T + 1, 3, 3].
             gripper: The gripper's command, -1 open to 1 closed, [T + 1].
+            errors: Whether each command errs on purpose, bool [T]; None if none does.
         """
         time = np.arange(len(qpos))[:, None] / CONTROL_HZ
         return cls(
@@ -147,6 +154,7 @@ class Demo:
             geom_size=start.geom_size,
             fixtures=start.fixtures,
             cameras=np.empty(0, int),
+            errors=errors if errors is not None and errors.any() else None,
         )
 
 
@@ -235,12 +243,13 @@ def _orthonormal(path: Path, header: Header) -> Header:
 
 
 def fingerprint_of(header: Header, demos: Sequence[Demo]) -> str:
-    """Hash of all states, commands, starts and cameras: the name of what is made from them."""
+    """Hash of states, commands, errors, starts and cameras: the name of what is made from them."""
     digest = hashlib.sha256()
     for array in header.arrays.values():
         digest.update(np.ascontiguousarray(array).tobytes())
     for demo in demos:
-        for array in (demo.states, demo.actions, demo.geom_size, demo.fixtures, demo.cameras):
+        arrays = (demo.states, demo.actions, demo.geom_size, demo.fixtures, demo.cameras)
+        for array in arrays if demo.errors is None else (*arrays, demo.errors):
             digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()[:16]
 
@@ -348,7 +357,8 @@ def _read_demo(path: Path, file: h5py.File, index: int, header: Header) -> Demo:
     where = f"{path}: {name}"
     try:
         seed, cameras = (np.asarray(group.attrs[key]) for key in ("seed", "cameras"))
-        arrays = {of: _array(where, group, key) for key, of in ARRAYS.items()}
+        names = {**ARRAYS, **({ERRORS: ERRORS} if ERRORS in group else {})}
+        arrays = {of: _array(where, group, key) for key, of in names.items()}
     except KeyError as error:
         raise DatasetError(f"{where}: {error}.") from error
     except OSError as error:

@@ -13,6 +13,18 @@ Sample = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Demonstrations [B], time steps [B] and cameras [B, V] of some samples."""
 
 
+def errors_of(demos: Demos) -> np.ndarray | None:
+    """Which commands of each demonstration err on purpose, bool [D, T]; None where none does."""
+    episodes = demos.episodes
+    if all(demo.errors is None for demo in episodes):
+        return None
+    errors = np.zeros((len(episodes), max(demo.length for demo in episodes)), bool)
+    for row, demo in zip(errors, episodes, strict=True):
+        if demo.errors is not None:
+            row[: demo.length] = demo.errors
+    return errors
+
+
 @dataclass(frozen=True)
 class Layout:
     """The order of a dataset's pictures: by demonstration, in it by time, in that by camera."""
@@ -63,6 +75,8 @@ class Samples:
     """Number of training demonstrations; the rest are for validation."""
     ordered: bool = False
     """Whether the cameras of a sample stand in the order of their window."""
+    errors: np.ndarray | None = None
+    """Which commands err on purpose, bool [D, T]: no sample of training begins there."""
 
     def index(self, seed: int, step: int, batch: int, views: int) -> Sample:
         """The samples of one update: demonstrations, time steps and cameras.
@@ -80,7 +94,8 @@ class Samples:
     def _epoch(self, seed: int, epoch: int, views: int) -> Sample:
         rng = np.random.Generator(np.random.Philox(key=[seed, epoch]))
         order = rng.permutation(self.train)
-        t = np.floor(rng.random(self.train) * self.layout.lengths[order]).astype(int)
+        steps, counts, first = self._steps
+        t = steps[first[order] + np.floor(rng.random(self.train) * counts[order]).astype(int)]
         draws = rng.random((self.train, self.layout.cameras.max()))
         cameras = np.stack(
             [
@@ -89,6 +104,16 @@ class Samples:
             ]
         )
         return order, t, np.sort(cameras, 1) if self.ordered else cameras
+
+    @cached_property
+    def _steps(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Time steps that samples are of, of all demonstrations; each one's number, and first."""
+        lengths = self.layout.lengths[: self.train]
+        taken = np.arange(lengths.max(initial=0)) < lengths[:, None]
+        if self.errors is not None:
+            taken &= ~self.errors[: self.train, : taken.shape[1]]
+        counts = taken.sum(1)
+        return np.nonzero(taken)[1], counts, np.cumsum(counts) - counts
 
     def validation(self, views: int, per_demo: int = 16) -> Sample:
         """Evenly spaced steps of every validation demonstration."""

@@ -20,7 +20,15 @@ from typing import Any
 import h5py
 import numpy as np
 
-from jaxcam.data.contents import ARRAYS, OLD_SEAL, SEAL, check_about, check_arrays, seal_of_all
+from jaxcam.data.contents import (
+    ARRAYS,
+    ERRORS,
+    OLD_SEAL,
+    SEAL,
+    check_about,
+    check_arrays,
+    seal_of_all,
+)
 from jaxcam.data.demos import (
     Demo,
     Demos,
@@ -130,7 +138,8 @@ class DemoWriter:
         Raises:
             DatasetError: It has numbers that cannot be, or there is no room for it.
         """
-        arrays = {name: getattr(demo, name) for name in ARRAYS.values()}
+        fields = {**ARRAYS, ERRORS: ERRORS}
+        arrays = {fields[name]: array for name, array in demo.arrays().items()}
         where = f"{self.path}: data/demo_{index}"
         check_arrays(where, arrays, nq=self.header.nq, nv=self.header.nv)
         content = io.BytesIO()
@@ -247,7 +256,8 @@ def _read_header(path: Path) -> Header:
 
 def _read_episode(path: Path, header: Header) -> Demo:
     with np.load(path, allow_pickle=False) as file:
-        arrays = {name: file[name] for name in ARRAYS.values()}
+        names = [*ARRAYS.values(), *([ERRORS] if ERRORS in file else [])]
+        arrays = {name: file[name] for name in names}
         seed, cameras = int(file["seed"]), file["cameras"]
     check_arrays(str(path), arrays, nq=header.nq, nv=header.nv)
     return Demo(seed=seed, nq=header.nq, cameras=cameras, **arrays)

@@ -32,9 +32,8 @@ def padded_mean(error: jax.Array, is_pad: jax.Array, rule: str) -> jax.Array:
 
 
 def repeat_ends(x: jax.Array, is_pad: jax.Array) -> jax.Array:
-    """Chunks [B, T, D] whose padded steps are copies of the nearest step that is not."""
+    """Chunks [B, T, D] whose padded steps copy the last one before that is not, or the first."""
     place = jnp.arange(x.shape[1])
-    first = jnp.argmin(is_pad, 1, keepdims=True)
-    last = x.shape[1] - 1 - jnp.argmin(is_pad[:, ::-1], 1, keepdims=True)
-    index = jnp.clip(place, first, last)
+    index = jax.lax.cummax(jnp.where(is_pad, -1, place), axis=1)
+    index = jnp.where(index < 0, jnp.argmin(is_pad, 1, keepdims=True), index)
     return jnp.take_along_axis(x, index[..., None], 1)

@@ -28,7 +28,8 @@ CAMERA_INPUTS = ("image", "K", "base_from_camera", "distortion")
 Batch: TypeAlias = Mapping[str, Any]
 """Arrays of NumPy or JAX by name: an observation with ``action`` float32 [B, T, A] in raw units,
 ``keyframe`` float32 [B, T, 3] (base frame, metres), where the data has it, and ``is_pad`` bool
-[B, T]."""
+[B, T]: steps that are past an end or err on purpose. ``keyframe_is_pad`` [B, T] is the same of
+keyframes, where they are unknown at other steps, too."""
 
 Stats: TypeAlias = Mapping[str, np.ndarray]
 """``action``, ``proprio`` and ``keyframe`` with ``_mean``, ``_std``, ``_min`` and ``_max`` each, of
@@ -144,6 +145,11 @@ def blank_stats(spec: PolicySpec) -> dict[str, np.ndarray]:
         for name, size in sizes.items()
         for kind, value in values.items()
     }
+
+
+def keyframe_padding(batch: Batch) -> jax.Array:
+    """Where the keyframes of a batch are not to be learned, bool [B, T]."""
+    return batch.get("keyframe_is_pad", batch["is_pad"])
 
 
 def check_sizes(chunk: int, spec: PolicySpec, stats: Stats) -> None:

@@ -14,7 +14,7 @@ from jaxcam.data.batches import Dataset, make_dataset, seen_by_cameras
 from jaxcam.data.collection import collect
 from jaxcam.data.demos import read_demos
 from jaxcam.data.pictures import load_pictures
-from jaxcam.data.samples import Layout, Samples
+from jaxcam.data.samples import Layout, Samples, errors_of
 from jaxcam.data.splits import NO_VALIDATION
 from jaxcam.devices import own
 from jaxcam.errors import ConfigError
@@ -106,7 +106,7 @@ class Simulated:
             demos = collect(CollectConfig.of(config), console)
         if console and not demos.valid:
             console.print(f"{demos.path}: {NO_VALIDATION}", soft_wrap=True)
-        samples = Samples(Layout.of(demos), len(demos.train))
+        samples = Samples(Layout.of(demos), len(demos.train), errors=errors_of(demos))
         samples.check_views(config.views)
         seeds, obs_steps = (
             [c.seed for c in configs],

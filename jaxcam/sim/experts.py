@@ -97,6 +97,7 @@ class Hand:
         trim: float = 0.0,
         stray: float = 0.0,
         spin: float = 0.0,
+        error: bool = False,
     ) -> Iterator[Aim]:
         """Moves towards a goal (m, world), which may move, until the grip is within `tolerance`.
 
@@ -115,6 +116,7 @@ class Hand:
             spin: Largest turn (rad) per step, about the vertical, of a set-point that strays; 0
                 goes on turning to `turn`. A policy that is shown hands which always turn the right
                 way reads the turn off its own joints.
+            error: Whether the goal is wrong on purpose (`Aim.error`).
         """
         rng, astray, drift, extra = self._sight.rng, 0, np.zeros(3), np.zeros(3)
         twist = np.zeros(3)
@@ -134,19 +136,19 @@ class Hand:
                 self._turn(turn())
             if astray:
                 astray, move = astray - 1, drift
-            yield self._move(move, gripper)
+            yield self._move(move, gripper, error=error)
             near = np.linalg.norm(goal() - self._sight.grip_position) < tolerance
             if near and not astray and (turn is None or self._angle(turn()) < AIMED):
                 return
 
-    def hold(self, gripper: float, *, steps: int) -> Iterator[Aim]:
-        """Keeps the set-point for a number of control steps."""
+    def hold(self, gripper: float, *, steps: int, error: bool = False) -> Iterator[Aim]:
+        """Keeps the set-point for a number of control steps; see `reach`."""
         for _ in range(steps):
-            yield self._move(np.zeros(3), gripper)
+            yield self._move(np.zeros(3), gripper, error=error)
 
-    def _move(self, move: np.ndarray, gripper: float) -> Aim:
+    def _move(self, move: np.ndarray, gripper: float, *, error: bool) -> Aim:
         self._point = self._point + move
-        return Aim(self._point, self._rotation, gripper)
+        return Aim(self._point, self._rotation, gripper, error)
 
     def _turn(self, goal: np.ndarray) -> None:
         turn = rotvec_from_matrix(goal @ self._rotation.T)

@@ -92,6 +92,9 @@ class Aim:
     position: np.ndarray
     rotation: np.ndarray
     gripper: float
+    error: bool = False
+    """Whether it errs on purpose, so that what follows shows how to go on: policies see where it
+    leads and are not taught to do it."""
 
 
 Success = Callable[[State, Start], Array]

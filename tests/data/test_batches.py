@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from many_cameras import with_errors
 
 from jaxcam.config.train import TrainConfig
 from jaxcam.data.batches import demo_actions, make_dataset, seen_by_cameras, stacked_batches
@@ -66,6 +67,42 @@ def test_wanted_pictures_are_those_that_batches_hold(dataset, views, obs_steps):
     expected = np.unique(np.concatenate([h.ravel() for h in held]))
     np.testing.assert_array_equal(np.flatnonzero(wanted), expected)
     assert dataset.samples.wanted((0,), 1000, 64, views, obs_steps) is None  # nearly all
+
+
+def test_errors_are_masked_and_zero_and_the_rest_is_as_without(dataset):
+    errors = np.zeros(dataset.actions.shape[:2], bool)
+    errors[0, 3:6] = errors[1, 0] = True
+    demo, t = np.array([0, 1, 2]), np.array([1, 0, 1])
+    erring, usual = (
+        d.batch(demo, t, np.zeros((3, 1), int), CHUNK)
+        for d in (replace(dataset, errors=errors), dataset)
+    )
+    expected = np.zeros((3, CHUNK), bool)
+    expected[0, 2:5] = expected[1, 0] = True
+    np.testing.assert_array_equal(erring["is_pad"], expected)
+    for name in usual.keys() - {"is_pad"}:
+        keep = ~expected[..., None] if name in ("action", "keyframe") else True
+        np.testing.assert_array_equal(erring[name], usual[name] * keep)
+
+
+def test_no_keyframe_is_known_before_a_change_of_the_gripper_that_errs(demos, pictures, scene):
+    first = demos.train[0]
+    (close,) = np.flatnonzero(np.diff(np.sign(first.actions[:, -1]))) + 1
+    erring = with_errors(first, close - 2, close + 3)
+    some = replace(demos, train=[erring, *demos.train[1:]])
+    dataset = make_dataset(some, pictures, "eef_delta", scene)
+    lengths, place = dataset.lengths, np.arange(dataset.actions.shape[1])
+    expected = np.zeros(dataset.actions.shape[:2], bool)
+    expected[0] = place < close
+    np.testing.assert_array_equal(dataset.keyframe_errors, expected)
+    demo, t = np.array([0, 0, 1]), np.array([0, close + 3, 0])
+    batch = dataset.batch(demo, t, np.zeros((3, 1), int), CHUNK)
+    assert batch["keyframe_is_pad"][0].all()
+    assert not batch["keyframe_is_pad"][1, : lengths[0] - close - 3].any()
+    assert not batch["keyframe_is_pad"][2].any()
+    plain = make_dataset(demos, pictures, "eef_delta", scene)
+    assert plain.errors is plain.keyframe_errors is None
+    assert "keyframe_is_pad" not in plain.batch(demo, t, np.zeros((3, 1), int), CHUNK)
 
 
 def test_what_is_past_the_end_is_masked_and_zero(dataset):

@@ -1,6 +1,7 @@
 """The seal of a dataset covers all that is in it."""
 
 import h5py
+import numpy as np
 import pytest
 from spoilt import assert_refused, put
 
@@ -30,6 +31,9 @@ CHANGES = {
     "a state": lambda f: scale(f, "data/demo_0/states", 1 + 1e-9),
     "a command": lambda f: scale(f, "data/demo_0/actions", 1 + 1e-9),
     "a camera": lambda f: shift(f, "cameras/world_from_camera", 1e-9),
+    "errors where there were none": lambda f: f["data/demo_0"].create_dataset(
+        "errors", data=np.arange(len(f["data/demo_0/actions"])) < 3
+    ),
     "states of less precision": lambda f: put(
         f, "data/demo_0/states", f["data/demo_0/states"][:].astype("f4")
     ),

@@ -205,6 +205,21 @@ IMPOSSIBLE = {
     "a gripper in millimetres": (
         lambda f: scale(f, "data/demo_1/obs/robot0_gripper", 40), "gripper beyond -1 to 1",
     ),
+    "errors that are numbers": (
+        lambda f: f["data/demo_1"].create_dataset("errors", data=np.zeros(3)), "errors is",
+    ),
+    "nothing but errors": (
+        lambda f: f["data/demo_1"].create_dataset(
+            "errors", data=np.ones(len(f["data/demo_1/actions"]), bool)
+        ),
+        "demo_1: all .* steps are errors, so nothing is left to imitate",
+    ),
+    "errors of whole numbers": (
+        lambda f: f["data/demo_1"].create_dataset(
+            "errors", data=np.ones(len(f["data/demo_1/actions"]), int)
+        ),
+        "errors is int64, expected true or false",
+    ),
     "cameras between two": (
         lambda f: f["data/demo_1"].attrs.__setitem__("cameras", [0.5, 1, 2]),
         "cameras are float64",

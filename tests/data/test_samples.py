@@ -57,6 +57,21 @@ def samples(cameras, train):
     return Samples(Layout(np.arange(10, 10 + len(cameras)), np.array(cameras)), train)
 
 
+def test_no_sample_of_training_begins_at_an_error():
+    layout, errors = Layout(np.array([4, 3, 5]), np.array([1, 1, 1])), np.zeros((3, 5), bool)
+    errors[0, 1:3] = errors[1, 0] = errors[2] = True  # the last one is for validation
+    some = Samples(layout, train=2, errors=errors)
+    demo, t, _ = some.index(seed=0, step=0, batch=400, views=1)
+    assert set(zip(demo.tolist(), t.tolist(), strict=True)) == {(0, 0), (0, 3), (1, 1), (1, 2)}
+    share = np.mean(t[demo == 0] == 3)
+    assert share == pytest.approx(0.5, abs=0.15)
+    wanted = some.wanted([0], steps=1, batch=400, views=1, obs_steps=1)
+    assert wanted is None or not wanted[[1, 2, 4]].any()
+    none = Samples(layout, train=2, errors=np.zeros((3, 5), bool)).index(0, 0, 400, 1)
+    for a, b in zip(none, Samples(layout, train=2).index(0, 0, 400, 1), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
 def test_validation_shows_each_demonstration_by_its_own_cameras():
     some = samples([3, 3, 1, 2, 3], train=2)
     demos, t, cameras = some.validation(views=2, per_demo=4)

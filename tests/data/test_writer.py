@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from conftest import TINY
 from killed_writer import EPISODES, header, require_equal, tiny, write
+from many_cameras import with_errors
 from places import TESTS
 
 from jaxcam.config.datasets import CollectConfig
@@ -48,6 +49,28 @@ def test_no_kill_loses_a_finished_episode(tmp_path):
     done = subprocess.run(script, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "40 kills lost no episode" in done.stdout
+
+
+def test_errors_are_kept_by_a_writer_that_goes_on_and_are_part_of_what_a_file_is(tmp_path):
+    path, plain = tmp_path / "erring.hdf5", tmp_path / "plain.hdf5"
+    some = [with_errors(tiny(i), 1, 3) if i % 2 else tiny(i) for i in range(EPISODES)]
+    for half in (some[:5], some[5:]):  # the second writer reads what the first one wrote
+        with DemoWriter(path, header()) as writer:
+            for demo in half:
+                writer.append(demo.seed, demo)
+    with DemoWriter(path, header()) as writer:
+        writer.finish()
+    write(plain)
+    erring, usual = read_demos(path), read_demos(plain)
+    for demo, expected in zip(erring.train, some, strict=True):
+        assert (demo.errors is None) == (expected.errors is None)
+        if demo.errors is not None:
+            assert demo.errors.dtype == bool
+            np.testing.assert_array_equal(demo.errors, expected.errors)
+    assert erring.fingerprint != usual.fingerprint
+    with h5py.File(path) as file:
+        assert file["data/demo_1/errors"].fletcher32
+        assert "errors" not in file["data/demo_0"]
 
 
 def test_a_killed_collection_ends_as_an_uninterrupted_one(demos, tmp_path, monkeypatch):

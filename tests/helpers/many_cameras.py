@@ -1,4 +1,4 @@
-"""Demonstrations that are seen by many cameras, and changes of those cameras."""
+"""Demonstrations that are seen by many cameras, and changes of those cameras and of others."""
 
 from dataclasses import replace
 
@@ -35,6 +35,12 @@ def scaled(poses, unit):
     poses = poses.copy()
     poses[:, :3, 3] *= unit
     return poses
+
+
+def with_errors(demo, first=3, last=8):
+    """The demonstration, its commands from `first` to before `last` being errors."""
+    steps = np.arange(demo.length)
+    return replace(demo, errors=(first <= steps) & (steps < last))
 
 
 def with_optics(demos, **optics):

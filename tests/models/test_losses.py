@@ -16,7 +16,8 @@ def test_padding_rules(rule, expected):
     assert float(padded_mean(error, is_pad, rule)) == pytest.approx(expected)
 
 
-def test_padding_repeats_the_nearest_step():
-    x = jnp.arange(10.0).reshape(2, 5, 1)
-    is_pad = jnp.array([[True, False, False, False, False], [False, False, True, True, True]])
-    assert repeat_ends(x, is_pad)[..., 0].tolist() == [[1, 1, 2, 3, 4], [5, 6, 6, 6, 6]]
+def test_padding_repeats_the_last_step_before_it_or_the_first():
+    x = jnp.arange(15.0).reshape(3, 5, 1)
+    is_pad = jnp.array([[1, 0, 0, 0, 0], [0, 0, 1, 1, 1], [1, 1, 0, 1, 0]], bool)
+    expected = [[1, 1, 2, 3, 4], [5, 6, 6, 6, 6], [12, 12, 12, 12, 14]]
+    assert repeat_ends(x, is_pad)[..., 0].tolist() == expected

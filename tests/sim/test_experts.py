@@ -77,6 +77,20 @@ def test_half_of_squares_experts_grip_badly_first_and_none_goes_on_so(shown):
             assert off == pytest.approx(GRIP, abs=WELL_HELD + 0.005)  # it slips a little
 
 
+def test_what_square_grips_badly_is_said_to_be_an_error(shown):
+    task, _, demos = shown
+    for demo in filter(None, demos):
+        changes = grip_changes(demo)
+        if demo.errors is None:
+            assert len(changes) <= 2
+            continue
+        assert task.name == "square"
+        bad = np.flatnonzero(demo.errors)
+        close, let_go = changes[0], changes[1]
+        assert (np.diff(bad) == 1).all()
+        assert 0 < bad[0] < close < bad[-1] < let_go  # the way there and the hold; not the mending
+
+
 def make_sight(rotation=None):
     rotation = np.diag([1.0, -1.0, -1.0]) if rotation is None else rotation
     rng = np.random.default_rng(0)

@@ -21,6 +21,7 @@ from jaxcam.models.policy import (
     PolicySpec,
     Stats,
     check_sizes,
+    keyframe_padding,
     pure,
 )
 
@@ -62,7 +63,7 @@ def make_diffusion(config: DiffusionConfig, spec: PolicySpec, stats: Stats) -> P
         if net.keyframe is not None:
             keyframe = keyframe_deviation(stats).normalised(batch["keyframe"])
             error = jnp.abs(net.keyframe(conditions[0]).reshape(keyframe.shape) - keyframe)
-            metrics["keyframe"] = padded_mean(error, is_pad, "valid")
+            metrics["keyframe"] = padded_mean(error, keyframe_padding(batch), "valid")
             total += config.keyframe_weight * metrics["keyframe"]
         return total, {"loss": total, **metrics}
 

@@ -21,6 +21,7 @@ from jaxcam.models.policy import (
     PolicySpec,
     Stats,
     check_sizes,
+    keyframe_padding,
     pure,
 )
 from jaxcam.models.smolvla.config import SMOLVLA_PRESETS, SmolVlaConfig
@@ -85,7 +86,7 @@ def make_smolvla(config: SmolVlaConfig, spec: PolicySpec, stats: Stats) -> Polic
             return total, {"loss": total}
         keyframe = keyframe_deviation(stats).normalised(batch["keyframe"])
         answer = net.keyframe(prefix.summary.astype(jnp.float32)).reshape(keyframe.shape)
-        error = padded_mean(jnp.abs(answer - keyframe), is_pad, "valid")
+        error = padded_mean(jnp.abs(answer - keyframe), keyframe_padding(batch), "valid")
         total += config.keyframe_weight * error
         return total, {"loss": total, "velocity": velocity, "keyframe": error}
 

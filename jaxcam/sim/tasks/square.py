@@ -39,6 +39,8 @@ REACH = 0.72
 MISSES, MISS, ASKEW = 0.5, 0.02, 1.0
 """Share of the demonstrations that grip badly first, and how badly: deviation (m) of the place
 along x and along y, and largest angle (rad)."""
+ON_IT = np.zeros(3)
+"""Deviation (m) of a good grip."""
 WELL_HELD, STRAIGHT, LAID = 0.012, 0.35, 0.02
 """A nut is well held that is within so much (m) of its place in the grip, and as straight (sine of
 the angle); else it is laid down, with the grip so high (m) above the table."""
@@ -107,8 +109,9 @@ class Square(TableTask):
     def expert(self, scene: World, sight: ExpertSight) -> Iterator[Aim]:
         """Turn over the handle, down, close, up, over the peg, down around it, open, away.
 
-        Often it grips beside the handle or askew first, sees that, puts down what it holds and
-        grips again: so policies are shown how to go on from bad grips of their own.
+        Often it first grips beside the handle or askew, which it says are errors, sees that, puts
+        down what it holds and grips again: so policies are shown how to go on from bad grips of
+        their own.
         """
         at, peg = scene.qpos_of("nut"), scene.qpos_of("peg")
         nut, base = slice(at, at + 3), scene.world_from_base[:3, 3]
@@ -120,27 +123,49 @@ class Square(TableTask):
         def grasp() -> np.ndarray:
             return sight.qpos[nut] + GRIP * along() + [0, 0, GRASP]
 
-        def grip(miss: np.ndarray, askew: float, tolerance: float) -> Iterator[Aim]:
-            def over_handle(least: float = 0) -> np.ndarray:
-                there = grasp() + miss
-                return np.add(there, [0, 0, funnel(sight.grip_position - there, least, HOVER)])
+        def over_handle(miss: np.ndarray = ON_IT, least: float = 0) -> np.ndarray:
+            there = grasp() + miss
+            return np.add(there, [0, 0, funnel(sight.grip_position - there, least, HOVER)])
 
-            def across() -> np.ndarray:
-                at, close = sight.grip_position, np.cross([0, 0, 1], along())
-                close = -close if _twist(base, at, close) > np.pi / 2 else close
-                return easy_grip(base, at, matrix_from_rotvec(np.array([0, 0, askew])) @ close)
+        def across(askew: float = 0) -> np.ndarray:
+            at, close = sight.grip_position, np.cross([0, 0, 1], along())
+            close = -close if _twist(base, at, close) > np.pi / 2 else close
+            return easy_grip(base, at, matrix_from_rotvec(np.array([0, 0, askew])) @ close)
 
+        def approach() -> Iterator[Aim]:
             yield from hand.reach(
-                lambda: over_handle(HOVER), OPEN, tolerance=0.04, turn=across, stray=0.06, spin=SPIN
+                lambda: over_handle(least=HOVER),
+                OPEN,
+                tolerance=0.04,
+                turn=across,
+                stray=0.06,
+                spin=SPIN,
             )
-            yield from hand.reach(over_handle, OPEN, tolerance=tolerance, turn=across, trim=0.05)
-            yield from hand.hold(CLOSE, steps=9)
+
+        def grip(
+            miss: np.ndarray, askew: float, *, tolerance: float, error: bool = False
+        ) -> Iterator[Aim]:
+            yield from hand.reach(
+                lambda: over_handle(miss),
+                OPEN,
+                tolerance=tolerance,
+                turn=lambda: across(askew),
+                trim=0.05,
+                error=error,
+            )
+            yield from hand.hold(CLOSE, steps=9, error=error)
             up = np.array([*sight.grip_position[:2], TABLE_TOP + UP])
-            yield from hand.reach(lambda: up, CLOSE, tolerance=0.03)
+            yield from hand.reach(lambda: up, CLOSE, tolerance=0.03, error=error)
 
         def is_held() -> bool:
             off = np.linalg.norm(sight.grip_position - grasp())
             return bool(off < WELL_HELD and abs(sight.grip_rotation[:, 0] @ along()) < STRAIGHT)
+
+        def lay_down() -> Iterator[Aim]:
+            down = np.array([*sight.grip_position[:2], TABLE_TOP + LAID])
+            if sight.qpos[at + 2] > TABLE_TOP + UP / 2:
+                yield from hand.reach(lambda: down, CLOSE, tolerance=0.02)
+            yield from hand.hold(OPEN, steps=4)
 
         def over_peg() -> np.ndarray:
             there = np.array([*sight.qpos[peg : peg + 2], TABLE_TOP])
@@ -149,15 +174,23 @@ class Square(TableTask):
             height = DOWN if threaded else funnel(off, DOWN, OVER, inside=0.008, slope=20)
             return sight.grip_position - off + [0, 0, height]
 
-        if rng.random() < MISSES:
-            miss = np.array([*rng.normal(0, MISS, 2), 0])
-            yield from grip(miss, rng.uniform(-ASKEW, ASKEW), tolerance=0.025)
+        erring = rng.random() < MISSES
+        if erring:
+            miss, askew = np.array([*rng.normal(0, MISS, 2), 0]), rng.uniform(-ASKEW, ASKEW)
+            yield from approach()
+            yield from hand.reach(
+                lambda: over_handle(miss, HOVER),
+                OPEN,
+                tolerance=0.04,
+                turn=lambda: across(askew),
+                error=True,
+            )
+            yield from grip(miss, askew, tolerance=0.025, error=True)
         if not is_held():
-            down = np.array([*sight.grip_position[:2], TABLE_TOP + LAID])
-            if sight.qpos[at + 2] > TABLE_TOP + UP / 2:
-                yield from hand.reach(lambda: down, CLOSE, tolerance=0.02)
-            yield from hand.hold(OPEN, steps=4)
-            yield from grip(np.zeros(3), 0, tolerance=0.008)
+            if erring:
+                yield from lay_down()
+            yield from approach()
+            yield from grip(ON_IT, 0, tolerance=0.008)
         turned = _over_peg(base, sight.qpos[peg : peg + 3], sight.grip_rotation[:, 0], along())
         yield from hand.reach(
             over_peg,

@@ -12,7 +12,7 @@ from dataclasses import replace
 import av
 import numpy as np
 import pytest
-from many_cameras import with_optics
+from many_cameras import with_errors, with_optics
 from scipy.spatial.transform import Rotation
 
 pytest.importorskip("pyarrow", reason="jaxcam[lerobot] is not installed")
@@ -195,6 +195,20 @@ def test_metadata_has_no_k_of_all_cameras_where_they_differ(demos, tmp_path, opt
         assert "camera.<view>.distortion" in about["conventions"]["intrinsics"]
     sight = next(iter(read_lerobot(folder).episodes[0].sights.values()))
     np.testing.assert_allclose(sight.calibration.K, K[demos.train[0].cameras[0]], rtol=1e-6)
+
+
+def test_errors_have_a_column_and_nothing_has_it_without(folder, demos, tmp_path):
+    assert "errors" not in read_json(folder, "info")["features"]
+    erring = with_errors(demos.train[0])
+    with DemoWriter(tmp_path / "erring.hdf5", replace(demos.header, train=2, valid=0)) as writer:
+        for i, demo in enumerate((erring, demos.train[1])):
+            writer.append(i, demo)
+        writer.finish()
+    out = export_dataset(config(read_demos(tmp_path / "erring.hdf5"), tmp_path / "out"))
+    assert read_json(out, "info")["features"]["errors"] == feature("bool", (1,))
+    column = parquet.read_table(out / "data/chunk-000/file-000.parquet")["errors"].to_pylist()
+    assert column == erring.errors.tolist() + [False] * demos.train[1].length
+    assert read_lerobot(out).state_names == read_lerobot(folder).state_names
 
 
 def test_metadata_tells_what_rotations_are_counted_from(folder, data, demos):
