@@ -92,6 +92,11 @@ def policy_settings(
             absolute_actions=config.action_space == "eef_abs",
             base_from_actions=tuple(tuple(map(float, row)) for row in frame),
         )
+    if getattr(settings, "heatmap_weight", 0) and config.ray_frame != "base":
+        raise ConfigError(
+            "model: heatmap_weight is for keyframes in the base: --ray-frame "
+            f"{config.ray_frame} has the cameras' poses in another frame."
+        )
     ahead = settings.chunk - settings.obs_steps + 1
     # A preset's number may be more than a chunk that is shortened has; one that is asked may not.
     if "execute" in overrides(config.model) and settings.execute > ahead:

@@ -172,17 +172,25 @@ class Vision(nnx.Module):
 
     def __call__(self, obs: Obs) -> jax.Array:
         """Tokens of every view, [B, V, tokens, width]."""
+        return self.look(obs)[0]
+
+    def look(self, obs: Obs) -> tuple[jax.Array, jax.Array | None]:
+        """Tokens of every view, and the heat maps of keypoints, [B*V, h, w, k], where it has any.
+
+        Those are as they are before the softmax.
+        """
         images = obs["image"]
         batch, views = images.shape[:2]
         if self.config.network == "warp":
             images = canonical_images(self.config, obs)
         features = self._features(obs, images.reshape(-1, *images.shape[2:]))
+        heat = None
         if self.pool is None:
             features = space_to_depth(features, self.fold) if self.fold > 1 else features
             tokens = features.reshape(features.shape[0], -1, features.shape[-1])
         else:
-            tokens = self.pool(features, grid_rays(self.config, obs, *self.cells))
-        return tokens.reshape(batch, views, *tokens.shape[1:])
+            tokens, heat = self.pool(features, grid_rays(self.config, obs, *self.cells))
+        return tokens.reshape(batch, views, *tokens.shape[1:]), heat
 
     def _features(self, obs: Obs, images: jax.Array) -> jax.Array:
         config = self.config

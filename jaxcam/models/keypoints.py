@@ -94,8 +94,13 @@ class KeypointPool(nnx.Module):
             self.height_bias = nnx.Param(jnp.zeros(config.keypoints))
         self.width = 2 + 6 * self.with_rays + 3 * self.with_lift + channels * self.with_features
 
-    def __call__(self, features: jax.Array, rays: jax.Array) -> jax.Array:
-        """Map features [N, h, w, C] and rays [N, h, w, 6] to keypoints [N, k, width], float32."""
+    def __call__(self, features: jax.Array, rays: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Keypoints [N, k, width] and their heat maps before the softmax [N, h, w, k], float32.
+
+        Args:
+            features: Feature maps [N, h, w, C].
+            rays: Ray-maps [N, h, w, 6].
+        """
         logits = self.heat(features).astype(jnp.float32) * self.heat_gain
         points = pool_keypoints(logits, rays, features, corners=self.corners)
         parts = [points.pixel]
@@ -109,4 +114,4 @@ class KeypointPool(nnx.Module):
             parts.append(lifted)
         if self.with_features:
             parts.append(points.features.astype(jnp.float32))
-        return jnp.concatenate(parts, -1)
+        return jnp.concatenate(parts, -1), logits

@@ -78,7 +78,9 @@ def test_lifted_points_are_told_in_a_unit_about_the_table():
     config = VisionConfig(conditioning="keypoints", encoder_width=8, keypoints=3)
     rays = grid_rays(config, batch, 6, 6)
     plain, scaled = (
-        np.asarray(KeypointPool(replace(config, lift_unit=unit), rngs=nnx.Rngs(0))(features, rays))
+        np.asarray(
+            KeypointPool(replace(config, lift_unit=unit), rngs=nnx.Rngs(0))(features, rays)[0]
+        )
         for unit in (0.0, 0.125)
     )
     np.testing.assert_array_equal(scaled[..., :8], plain[..., :8])  # pixels and rays

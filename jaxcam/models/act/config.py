@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from jaxcam.config.fields import check_least
 from jaxcam.errors import ConfigError
 from jaxcam.models.conditioning import VisionConfig, check_known
+from jaxcam.models.heatmaps import TAUGHT
 from jaxcam.models.losses import PADDINGS
 from jaxcam.models.normalization import ORIGINAL_STD_FLOOR, STD_FLOOR
 from jaxcam.models.policy import PolicySpec
@@ -21,6 +22,9 @@ class ActConfig(VisionConfig):
     keyframe_weight: float = 0.0
     """Weight of the loss on keyframes, which the policy then predicts beside every action; 0
     predicts none. A keyframe is where the grip will be when its command next changes."""
+    heatmap_weight: float = 0.0
+    """Weight of the loss that teaches two heat maps of every view to lie where the keyframe is
+    seen, see `jaxcam.models.heatmaps`; 0 teaches none."""
     head: str = "transformer"
     """From tokens to actions: the paper's transformer, or an mlp over all tokens at once."""
     width: int = 512
@@ -60,7 +64,9 @@ class ActConfig(VisionConfig):
         """Refuse values that cannot work."""
         super().__post_init__()
         check_least(self, 1, "chunk width heads hidden layers")
-        check_least(self, 0, "execute keyframe_weight pose_tokens latent_dim latent_layers")
+        check_least(
+            self, 0, "execute keyframe_weight heatmap_weight pose_tokens latent_dim latent_layers"
+        )
         check_least(self, 0, "kl_weight dropout action_std_floor")
         known = {"head": ("transformer", "mlp"), "image_positions": ("learned", "sine")}
         check_known(self, padding=PADDINGS, **known)
@@ -68,8 +74,25 @@ class ActConfig(VisionConfig):
             raise ConfigError(f"width {self.width} is not a multiple of heads {self.heads}.")
         if self.frames_tokens:
             self._check_frames()
+        if self.heatmap_weight:
+            self._check_heatmaps()
         if self.dropout >= 1:
             raise ConfigError(f"dropout must be below 1, got {self.dropout}.")
+
+    def _check_heatmaps(self) -> None:
+        """Refuse to teach heat maps that there are not, or where nobody says where they belong."""
+        if not self.pools_keypoints or self.keypoints < TAUGHT:
+            raise ConfigError(
+                f"heatmap_weight teaches {TAUGHT} heat maps: take --conditioning keypoints or "
+                f"--model pool=keypoints, with keypoints={TAUGHT} or more."
+            )
+        if not self.keyframe_weight:
+            raise ConfigError("heatmap_weight needs keyframes: take keyframe_weight=0.9, too.")
+        if self.action_frame != "base":
+            raise ConfigError(
+                f"heatmap_weight is for keyframes in the base: action_frame {self.action_frame} "
+                "has them in another frame than the cameras' poses."
+            )
 
     def _check_frames(self) -> None:
         """Refuse geometry in attention where there is none, or heads that it does not divide."""

@@ -1,6 +1,7 @@
 """ACT's network: from tokens of images and cameras to a chunk of actions."""
 
 from itertools import pairwise
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -146,6 +147,17 @@ class MlpHead(nnx.Module):
         return self.action(x).reshape(batch, self.chunk, -1)
 
 
+class Prediction(NamedTuple):
+    """What the network makes of a batch."""
+
+    outputs: jax.Array
+    """Normalised actions, with keyframes behind them if the settings ask for them, [B, T, O]."""
+    kl: jax.Array
+    """The latent's KL divergence, a scalar."""
+    heat: jax.Array | None
+    """Heat maps of the keypoints before the softmax [B*V, h, w, k], where there are any."""
+
+
 class Act(nnx.Module):
     """The whole network, from raw observations to normalised actions."""
 
@@ -164,7 +176,7 @@ class Act(nnx.Module):
         is_pad: jax.Array | None = None,
         *,
         key: Key = None,
-    ) -> tuple[jax.Array, jax.Array]:
+    ) -> Prediction:
         """Predict a chunk.
 
         Args:
@@ -173,10 +185,6 @@ class Act(nnx.Module):
             action: Normalised true actions [B, T, A]; without them the latent is zero.
             is_pad: Where those are padding, [B, T].
             key: For dropout and the latent's noise; none of either without it.
-
-        Returns:
-            Normalised actions, with keyframes behind them if the settings ask for them, [B, T, O],
-            and the latent's KL divergence, a scalar.
         """
         head_key, latent_key, noise_key = split_key(key, 3)
         latent = jnp.zeros((proprio.shape[0], self.config.latent_dim))
@@ -188,5 +196,6 @@ class Act(nnx.Module):
                 noise = jax.random.normal(noise_key, mean.shape)
                 latent = mean + jnp.exp(log_variance / 2) * noise
             kl = -0.5 * (1 + log_variance - mean**2 - jnp.exp(log_variance)).sum(-1).mean()
-        out = self.head(self.vision(obs), obs, proprio, latent, key=head_key)
-        return out.astype(jnp.float32), kl
+        tokens, heat = self.vision.look(obs)
+        out = self.head(tokens, obs, proprio, latent, key=head_key)
+        return Prediction(out.astype(jnp.float32), kl, heat)

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxcam.models.act.config import ACT_PRESETS, ActConfig
 from jaxcam.models.act.network import Act
 from jaxcam.models.conditioning import with_conditioning
+from jaxcam.models.heatmaps import heatmap_loss
 from jaxcam.models.losses import padded_mean
 from jaxcam.models.normalization import (
     action_deviation,
@@ -22,6 +23,7 @@ from jaxcam.models.policy import (
     PolicySpec,
     Stats,
     check_sizes,
+    keyframe_padding,
     pure,
 )
 
@@ -43,19 +45,24 @@ def make_act(config: ActConfig, spec: PolicySpec, stats: Stats) -> Policy:
     def loss(params: Params, batch: Batch, key: Key) -> tuple[jax.Array, dict[str, jax.Array]]:
         target = action_scale.normalised(batch["action"])
         is_pad = batch["is_pad"]
-        predicted, kl = network(params)(batch, proprio(batch), target, is_pad, key=key)
+        prediction = network(params)(batch, proprio(batch), target, is_pad, key=key)
+        predicted, kl = prediction.outputs, prediction.kl
         l1 = l1_loss(predicted[..., : spec.action_dim], target, is_pad)
         total = l1 + config.kl_weight * kl
         metrics = {"l1": l1, "kl": kl}
         if config.keyframe_weight:
             keyframe = keyframe_deviation(stats).normalised(batch["keyframe"])
-            metrics["keyframe"] = l1_loss(predicted[..., spec.action_dim :], keyframe, is_pad)
+            unknown = keyframe_padding(batch)
+            metrics["keyframe"] = l1_loss(predicted[..., spec.action_dim :], keyframe, unknown)
             total += config.keyframe_weight * metrics["keyframe"]
+        if config.heatmap_weight and prediction.heat is not None:
+            metrics["heatmap"] = heatmap_loss(prediction.heat, batch)
+            total += config.heatmap_weight * metrics["heatmap"]
         return total, {"loss": total, **metrics}
 
     def act(params: Params, obs: Obs, key: Key) -> jax.Array:
         del key  # ACT acts with its latent at zero: nothing is drawn.
-        predicted = network(params)(obs, proprio(obs))[0][..., : spec.action_dim]
+        predicted = network(params)(obs, proprio(obs)).outputs[..., : spec.action_dim]
         return action_scale.raw(predicted)
 
     return Policy(init, loss, act, config, spec, min(config.execute or spec.chunk, spec.chunk))

@@ -27,5 +27,13 @@ def test_what_does_not_go_together_is_refused():
         tiny("laptop", "prope")
     with pytest.raises(ConfigError, match="take --preset attention"):
         tiny("attention", "gta", pool="keypoints")
+    with pytest.raises(ConfigError, match="teaches 2 heat maps: take --conditioning keypoints"):
+        tiny("attention", "late", heatmap_weight=1.0)
+    with pytest.raises(ConfigError, match="teaches 2 heat maps"):
+        tiny("laptop", "keypoints", heatmap_weight=1.0, keypoints=1)
+    with pytest.raises(ConfigError, match="heatmap_weight needs keyframes"):
+        tiny("laptop", "keypoints", heatmap_weight=1.0, keyframe_weight=0.0)
+    with pytest.raises(ConfigError, match="action_frame camera has them in another frame"):
+        tiny("laptop", "keypoints", heatmap_weight=1.0, action_frame="camera")
     with pytest.raises(ConfigError, match="width 16 over heads 4 is 4"):
         tiny("attention", "ray_rope", heads=4)
