@@ -15,6 +15,7 @@ from jaxcam.checks.held_out import check_field_of_view, check_held_out, check_ra
 from jaxcam.checks.numbers import (
     check_commands,
     check_constants,
+    check_errors,
     check_gripper,
     check_lengths,
     check_rate,
@@ -81,7 +82,8 @@ def check_content(demos: Demos, scene: World) -> Iterator[Finding]:
         yield check_ranges(demos)
     yield check_field_of_view(demos)
     episodes = demos.episodes
-    for check in (check_lengths, check_commands, check_gripper, check_constants, check_rate):
+    checks = check_lengths, check_commands, check_gripper, check_constants, check_rate, check_errors
+    for check in checks:
         yield check(episodes)
     yield check_rotations(episodes, scene.nominal_grip)
 

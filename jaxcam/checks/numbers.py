@@ -145,6 +145,14 @@ def _longest(vectors: np.ndarray) -> float:
     return float(np.linalg.norm(vectors, axis=-1).max(initial=0.0))
 
 
+def check_errors(episodes: Sequence[Demo]) -> Finding:
+    """How many commands err on purpose."""
+    some_errors = [demo.errors.sum() for demo in episodes if demo.errors is not None]
+    share = sum(some_errors) / sum(demo.length for demo in episodes)
+    got = f"{share:.1%} of the commands, in {len(some_errors)} demonstrations: not taught"
+    return good("errors on purpose", got=got if some_errors else "none")
+
+
 def check_rate(episodes: Sequence[Demo]) -> Finding:
     """Whether states are a control step apart."""
     steps = np.concatenate([np.diff(d.states[:, 0]) for d in episodes])

@@ -7,6 +7,7 @@ stretch of them, so a resumed run, another prefetch depth or other machines see 
 from collections.abc import Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -79,7 +80,8 @@ class Dataset:
     """Before each action, the frame that policies are told their cameras in, from the base
     [D, T, 4, 4]; None is the base."""
     errors: np.ndarray | None = field(default=None, repr=False)
-    """Which actions err on purpose, bool [D, T]: chunks have them as padding; None if none does."""
+    """Which actions err on purpose, bool [D, T]: chunks have them, and what follows them, as
+    padding; None if none does."""
     keyframe_errors: np.ndarray | None = field(default=None, repr=False)
     """Where the grip's command next changes by error, so that nobody knows the keyframe, [D, T]."""
     named: bool = False
@@ -94,7 +96,7 @@ class Dataset:
         """Control steps of each demonstration [D]."""
         return self.pictures.layout.lengths
 
-    @property
+    @cached_property
     def samples(self) -> Samples:
         """Which of its samples a run takes."""
         return Samples(self.pictures.layout, self.train, self.ordered, self.errors)
@@ -125,7 +127,9 @@ class Dataset:
         is_pad = (steps < 0) | (steps >= self.lengths[demo][:, None])
         where = demo[:, None], np.clip(steps, 0, self.actions.shape[1] - 1)
         if self.errors is not None:
-            is_pad |= self.errors[where]
+            err = self.errors[where]
+            # What follows an error that is yet to come nobody can foresee.
+            is_pad |= err | np.logical_or.accumulate(err & (steps > t[:, None]), 1)
         times = history(t, obs_steps)
         rows = self.pictures.layout.at(demo[:, None, None], times[..., None], views[:, None])
         cameras = np.stack([self._cameras(*x) for x in zip(demo, times, views, strict=True)])

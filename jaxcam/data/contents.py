@@ -34,7 +34,7 @@ SEAL = "sha256_of_all"
 """Attribute of `data` with the hash of everything that is read (`seal_of_all`)."""
 OLD_SEAL = "sha256"
 """Attribute of `data` with the hash of states, commands, starts, cameras, seeds and settings, which
-is all that version 0.1.0 sealed."""
+is all that version 0.1.0 sealed; of errors, too, where there are."""
 FAR = 1e4
 """Size beyond which no number (m, rad, s, and their rates) is an episode's."""
 UNIT = 1e-3

@@ -76,7 +76,7 @@ class Samples:
     ordered: bool = False
     """Whether the cameras of a sample stand in the order of their window."""
     errors: np.ndarray | None = None
-    """Which commands err on purpose, bool [D, T]: no sample of training begins there."""
+    """Which commands err on purpose, bool [D, T]: no sample begins there."""
 
     def index(self, seed: int, step: int, batch: int, views: int) -> Sample:
         """The samples of one update: demonstrations, time steps and cameras.
@@ -108,18 +108,19 @@ class Samples:
     @cached_property
     def _steps(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Time steps that samples are of, of all demonstrations; each one's number, and first."""
-        lengths = self.layout.lengths[: self.train]
+        lengths = self.layout.lengths
         taken = np.arange(lengths.max(initial=0)) < lengths[:, None]
         if self.errors is not None:
-            taken &= ~self.errors[: self.train, : taken.shape[1]]
+            taken &= ~self.errors
         counts = taken.sum(1)
         return np.nonzero(taken)[1], counts, np.cumsum(counts) - counts
 
     def validation(self, views: int, per_demo: int = 16) -> Sample:
         """Evenly spaced steps of every validation demonstration."""
-        lengths = self.layout.lengths[self.train :]
-        demos = np.arange(self.train, self.train + len(lengths)).repeat(per_demo)
-        t = np.concatenate([np.linspace(0, n - 1, per_demo).astype(int) for n in lengths])
+        steps, counts, first = self._steps
+        held_out = np.arange(self.train, len(counts))
+        place = [first[d] + np.linspace(0, counts[d] - 1, per_demo).astype(int) for d in held_out]
+        demos, t = held_out.repeat(per_demo), steps[np.concatenate(place)]
         return demos, t, np.arange(views) % self.layout.cameras[demos, None]
 
     def check_views(self, views: int) -> None:

@@ -139,7 +139,7 @@ class DemoWriter:
             DatasetError: It has numbers that cannot be, or there is no room for it.
         """
         fields = {**ARRAYS, ERRORS: ERRORS}
-        arrays = {fields[name]: array for name, array in demo.arrays().items()}
+        arrays: dict[str, Any] = {fields[name]: array for name, array in demo.arrays().items()}
         where = f"{self.path}: data/demo_{index}"
         check_arrays(where, arrays, nq=self.header.nq, nv=self.header.nv)
         content = io.BytesIO()

@@ -10,6 +10,7 @@ from jaxcam.data.batches import Dataset
 from jaxcam.data.recorded.parts import Parts
 from jaxcam.data.recorded.spaces import AGREE_M
 from jaxcam.models import Policy
+from jaxcam.models.policy import TARGETS
 from jaxcam.rays import Camera
 from jaxcam.reports.camera_figures import GripWay
 
@@ -46,7 +47,7 @@ def grip_ways(
     t = (share * (dataset.lengths[demos] - 1)).astype(int)
     views = np.broadcast_to(np.arange(spec.views), (SHOWN, spec.views))
     batch = dict(dataset.batch(demos, t, views, spec.chunk, spec.obs_steps))
-    observed = {k: v for k, v in batch.items() if k not in ("action", "keyframe", "is_pad")}
+    observed = {k: v for k, v in batch.items() if k not in TARGETS}
     chunks = np.asarray(jax.jit(policy.act)(params, observed, jax.random.key(0)))
     ways = []
     for i, (demo, step) in enumerate(zip(demos, t, strict=True)):

@@ -61,6 +61,20 @@ def make_policy(config: Any, spec: PolicySpec, stats: Stats) -> Policy:
     return in_action_frame(family.make(config, spec, stats))
 
 
+def check_true_cameras(config: TrainConfig) -> None:
+    """Refuses to teach heat maps where batches do not say where the cameras are, in the base."""
+    for flag, told, true in (
+        ("ray-frame", config.ray_frame, "base"),
+        ("rays-from", config.rays_from, "true"),
+        ("pose-noise", config.pose_noise, ""),
+    ):
+        if told != true:
+            raise ConfigError(
+                f"model: heatmap_weight is taught by the cameras' true poses and intrinsics in the "
+                f"base, which --{flag} {told} changes. Leave one of the two out."
+            )
+
+
 def policy_settings(
     config: TrainConfig, prompts: Sequence[str], base_from_actions: np.ndarray | None = None
 ) -> Any:
@@ -92,11 +106,8 @@ def policy_settings(
             absolute_actions=config.action_space == "eef_abs",
             base_from_actions=tuple(tuple(map(float, row)) for row in frame),
         )
-    if getattr(settings, "heatmap_weight", 0) and config.ray_frame != "base":
-        raise ConfigError(
-            "model: heatmap_weight is for keyframes in the base: --ray-frame "
-            f"{config.ray_frame} has the cameras' poses in another frame."
-        )
+    if getattr(settings, "heatmap_weight", 0):
+        check_true_cameras(config)
     ahead = settings.chunk - settings.obs_steps + 1
     # A preset's number may be more than a chunk that is shortened has; one that is asked may not.
     if "execute" in overrides(config.model) and settings.execute > ahead:

@@ -27,7 +27,8 @@ def heatmap_loss(logits: jax.Array, batch: Batch) -> jax.Array:
             closes the gripper where it is positive. Only the first step of a chunk counts.
 
     Returns:
-        A scalar (nats), the mean over views whose picture has the keyframe in it.
+        A scalar (nats), the mean over views whose picture has the keyframe in it, half a cell or
+        more from the edge.
     """
     batch_size, views = batch["K"].shape[:2]
     height, width = batch["image"].shape[2:4]

@@ -31,6 +31,9 @@ Batch: TypeAlias = Mapping[str, Any]
 [B, T]: steps that are past an end or err on purpose. ``keyframe_is_pad`` [B, T] is the same of
 keyframes, where they are unknown at other steps, too."""
 
+TARGETS = ("action", "keyframe", "is_pad", "keyframe_is_pad")
+"""What a batch has beside an observation."""
+
 Stats: TypeAlias = Mapping[str, np.ndarray]
 """``action``, ``proprio`` and ``keyframe`` with ``_mean``, ``_std``, ``_min`` and ``_max`` each, of
 the training data, in raw units."""

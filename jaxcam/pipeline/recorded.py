@@ -83,6 +83,11 @@ class Recorded:
             ConfigError: What is asked does not go with it.
         """
         self._check_given(config)
+        if overrides(config.model).get("heatmap_weight"):
+            raise ConfigError(
+                "heatmap_weight is for tasks that are simulated: which numbers of a recorded "
+                "dataset say that the gripper is closed is not known well enough. Leave it out."
+            )
         name, preset = policy_preset(config, has_accelerator())
         usual = [v for v in self.recording.views if v not in config.hold_out_view]
         given = vars(config)

@@ -1,9 +1,14 @@
 """Numbers of demonstrations that make no sense, and what the doctor says of each."""
 
+import re
+
 import numpy as np
 import pytest
+from many_cameras import with_errors
 from scipy.spatial.transform import Rotation
 from spoilt import change_all, findings_in, put, spoil, unsealed
+
+from jaxcam.checks.numbers import check_errors
 
 
 @pytest.fixture
@@ -89,6 +94,14 @@ def test_jumps_of_rotations_are_found(copy, first, last, mark, words):
     finding = findings_in(copy)["rotations"]
     assert finding.mark == mark, finding
     assert words in finding.got
+
+
+def test_errors_on_purpose_are_counted(demos):
+    assert check_errors(demos.episodes).got == "none"
+    half = with_errors(demos.train[0], 0, demos.train[0].length // 2)
+    finding = check_errors([half, demos.train[0]])
+    assert finding.mark == "good"
+    assert re.match(r"2[45]\.\d% of the commands, in 1 demonstrations: not taught", finding.got)
 
 
 @pytest.mark.parametrize("case", CASES)

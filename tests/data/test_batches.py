@@ -69,20 +69,29 @@ def test_wanted_pictures_are_those_that_batches_hold(dataset, views, obs_steps):
     assert dataset.samples.wanted((0,), 1000, 64, views, obs_steps) is None  # nearly all
 
 
-def test_errors_are_masked_and_zero_and_the_rest_is_as_without(dataset):
+def test_errors_and_what_follows_those_ahead_are_masked_and_the_rest_is_as_without(dataset):
     errors = np.zeros(dataset.actions.shape[:2], bool)
     errors[0, 3:6] = errors[1, 0] = True
-    demo, t = np.array([0, 1, 2]), np.array([1, 0, 1])
+    demo, t = np.array([0, 1, 2]), np.array([1, 0, 1])  # before errors, in one, and without any
     erring, usual = (
         d.batch(demo, t, np.zeros((3, 1), int), CHUNK)
         for d in (replace(dataset, errors=errors), dataset)
     )
     expected = np.zeros((3, CHUNK), bool)
-    expected[0, 2:5] = expected[1, 0] = True
+    expected[0, 2:] = expected[1, 0] = True
     np.testing.assert_array_equal(erring["is_pad"], expected)
     for name in usual.keys() - {"is_pad"}:
         keep = ~expected[..., None] if name in ("action", "keyframe") else True
         np.testing.assert_array_equal(erring[name], usual[name] * keep)
+
+
+def test_errors_that_are_only_observed_hide_nothing_that_follows(dataset):
+    errors = np.zeros(dataset.actions.shape[:2], bool)
+    errors[0, 5] = errors[0, 9] = True
+    batch = replace(dataset, errors=errors).batch(
+        np.array([0]), np.array([6]), np.zeros((1, 1), int), CHUNK, obs_steps=2
+    )
+    assert batch["is_pad"][0].tolist() == [True] + [False] * 3 + [True] * (CHUNK - 4)
 
 
 def test_no_keyframe_is_known_before_a_change_of_the_gripper_that_errs(demos, pictures, scene):

@@ -59,7 +59,7 @@ def samples(cameras, train):
 
 def test_no_sample_of_training_begins_at_an_error():
     layout, errors = Layout(np.array([4, 3, 5]), np.array([1, 1, 1])), np.zeros((3, 5), bool)
-    errors[0, 1:3] = errors[1, 0] = errors[2] = True  # the last one is for validation
+    errors[0, 1:3] = errors[1, 0] = True  # the last one is for validation
     some = Samples(layout, train=2, errors=errors)
     demo, t, _ = some.index(seed=0, step=0, batch=400, views=1)
     assert set(zip(demo.tolist(), t.tolist(), strict=True)) == {(0, 0), (0, 3), (1, 1), (1, 2)}
@@ -70,6 +70,16 @@ def test_no_sample_of_training_begins_at_an_error():
     none = Samples(layout, train=2, errors=np.zeros((3, 5), bool)).index(0, 0, 400, 1)
     for a, b in zip(none, Samples(layout, train=2).index(0, 0, 400, 1), strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+def test_no_sample_of_validation_begins_at_an_error():
+    layout, errors = Layout(np.array([4, 9]), np.array([1, 1])), np.zeros((2, 9), bool)
+    errors[1, 2:6] = True
+    demos, t, _ = Samples(layout, train=1, errors=errors).validation(views=1, per_demo=5)
+    assert demos.tolist() == [1] * 5
+    assert t.tolist() == [0, 1, 6, 7, 8]
+    _, usual, _ = Samples(layout, train=1).validation(views=1, per_demo=5)
+    assert usual.tolist() == [0, 2, 4, 6, 8]
 
 
 def test_validation_shows_each_demonstration_by_its_own_cameras():

@@ -166,6 +166,9 @@ def test_the_grip_is_known_by_its_names_or_by_a_flag(folder):
     on = settings(folder, model=("keyframe_weight=0.1",))
     with pytest.raises(ConfigError, match="needs to know where the grip is"):
         source_of(on).complete(on)
+    taught = settings(folder, model=("heatmap_weight=1",))
+    with pytest.raises(ConfigError, match="heatmap_weight is for tasks that are simulated"):
+        source_of(taught).complete(taught)
 
 
 def test_smolvla_takes_squares(folder):

@@ -84,7 +84,12 @@ class ActConfig(VisionConfig):
         if not self.pools_keypoints or self.keypoints < TAUGHT:
             raise ConfigError(
                 f"heatmap_weight teaches {TAUGHT} heat maps: take --conditioning keypoints or "
-                f"--model pool=keypoints, with keypoints={TAUGHT} or more."
+                f"--model pool=keypoints, with keypoints={TAUGHT} or more; or heatmap_weight=0."
+            )
+        if self.network == "warp":
+            raise ConfigError(
+                "heatmap_weight is for pictures as they are: conditioning warp has its heat maps "
+                "over others."
             )
         if not self.keyframe_weight:
             raise ConfigError("heatmap_weight needs keyframes: take keyframe_weight=0.9, too.")

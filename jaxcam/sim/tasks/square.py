@@ -113,63 +113,12 @@ class Square(TableTask):
         down what it holds and grips again: so policies are shown how to go on from bad grips of
         their own.
         """
-        at, peg = scene.qpos_of("nut"), scene.qpos_of("peg")
-        nut, base = slice(at, at + 3), scene.world_from_base[:3, 3]
-        hand, rng = Hand(sight), sight.rng
-
-        def along() -> np.ndarray:
-            return _x_axis(sight.qpos[at + 3 : at + 7])
-
-        def grasp() -> np.ndarray:
-            return sight.qpos[nut] + GRIP * along() + [0, 0, GRASP]
-
-        def over_handle(miss: np.ndarray = ON_IT, least: float = 0) -> np.ndarray:
-            there = grasp() + miss
-            return np.add(there, [0, 0, funnel(sight.grip_position - there, least, HOVER)])
-
-        def across(askew: float = 0) -> np.ndarray:
-            at, close = sight.grip_position, np.cross([0, 0, 1], along())
-            close = -close if _twist(base, at, close) > np.pi / 2 else close
-            return easy_grip(base, at, matrix_from_rotvec(np.array([0, 0, askew])) @ close)
-
-        def approach() -> Iterator[Aim]:
-            yield from hand.reach(
-                lambda: over_handle(least=HOVER),
-                OPEN,
-                tolerance=0.04,
-                turn=across,
-                stray=0.06,
-                spin=SPIN,
-            )
-
-        def grip(
-            miss: np.ndarray, askew: float, *, tolerance: float, error: bool = False
-        ) -> Iterator[Aim]:
-            yield from hand.reach(
-                lambda: over_handle(miss),
-                OPEN,
-                tolerance=tolerance,
-                turn=lambda: across(askew),
-                trim=0.05,
-                error=error,
-            )
-            yield from hand.hold(CLOSE, steps=9, error=error)
-            up = np.array([*sight.grip_position[:2], TABLE_TOP + UP])
-            yield from hand.reach(lambda: up, CLOSE, tolerance=0.03, error=error)
-
-        def is_held() -> bool:
-            off = np.linalg.norm(sight.grip_position - grasp())
-            return bool(off < WELL_HELD and abs(sight.grip_rotation[:, 0] @ along()) < STRAIGHT)
-
-        def lay_down() -> Iterator[Aim]:
-            down = np.array([*sight.grip_position[:2], TABLE_TOP + LAID])
-            if sight.qpos[at + 2] > TABLE_TOP + UP / 2:
-                yield from hand.reach(lambda: down, CLOSE, tolerance=0.02)
-            yield from hand.hold(OPEN, steps=4)
+        peg, nut = scene.qpos_of("peg"), _NutGripper(scene, sight)
+        hand, rng = nut.hand, sight.rng
 
         def over_peg() -> np.ndarray:
             there = np.array([*sight.qpos[peg : peg + 2], TABLE_TOP])
-            off = sight.qpos[nut] - there
+            off = nut.middle - there
             threaded = off[2] < PEG_TOP and np.linalg.norm(off[:2]) < AROUND
             height = DOWN if threaded else funnel(off, DOWN, OVER, inside=0.008, slope=20)
             return sight.grip_position - off + [0, 0, height]
@@ -177,31 +126,114 @@ class Square(TableTask):
         erring = rng.random() < MISSES
         if erring:
             miss, askew = np.array([*rng.normal(0, MISS, 2), 0]), rng.uniform(-ASKEW, ASKEW)
-            yield from approach()
-            yield from hand.reach(
-                lambda: over_handle(miss, HOVER),
-                OPEN,
-                tolerance=0.04,
-                turn=lambda: across(askew),
-                error=True,
-            )
-            yield from grip(miss, askew, tolerance=0.025, error=True)
-        if not is_held():
+            yield from nut.approach()
+            yield from nut.grip_badly(miss, askew)
+        if not nut.is_held():
             if erring:
-                yield from lay_down()
-            yield from approach()
-            yield from grip(ON_IT, 0, tolerance=0.008)
-        turned = _over_peg(base, sight.qpos[peg : peg + 3], sight.grip_rotation[:, 0], along())
+                yield from nut.lay_down()
+            yield from nut.approach()
+            yield from nut.grip(ON_IT, 0, tolerance=0.008)
+        close = sight.grip_rotation[:, 0]
+        turned = _over_peg(nut.base, sight.qpos[peg : peg + 3], close, nut.along())
         yield from hand.reach(
             over_peg,
             CLOSE,
             tolerance=0.007,
-            turn=lambda: easy_grip(base, sight.grip_position, turned),
+            turn=lambda: easy_grip(nut.base, sight.grip_position, turned),
             trim=0.05,
         )
         yield from hand.hold(OPEN, steps=6)
         away = np.add(sight.grip_position, [0, 0, HOVER])
         yield from hand.reach(lambda: away, OPEN, tolerance=0.03)
+
+
+class _NutGripper:
+    """The expert's ways of gripping the nut by its handle, and of letting it go again."""
+
+    def __init__(self, scene: World, sight: ExpertSight) -> None:
+        self.hand = Hand(sight)
+        self.base = scene.world_from_base[:3, 3]
+        self._sight, self._nut = sight, scene.qpos_of("nut")
+
+    @property
+    def middle(self) -> np.ndarray:
+        """Of the nut (m) [3]."""
+        return self._sight.qpos[self._nut : self._nut + 3]
+
+    def along(self) -> np.ndarray:
+        """The direction [3] from its middle to its handle."""
+        return _x_axis(self._sight.qpos[self._nut + 3 : self._nut + 7])
+
+    def is_held(self) -> bool:
+        """Whether the hand is where, and as, it grips well."""
+        off = np.linalg.norm(self._sight.grip_position - self._grasp())
+        askew = abs(self._sight.grip_rotation[:, 0] @ self.along())
+        return bool(off < WELL_HELD and askew < STRAIGHT)
+
+    def approach(self) -> Iterator[Aim]:
+        """Until over the handle and turned across it, with errors on the way."""
+        yield from self.hand.reach(
+            lambda: self._over(ON_IT, HOVER),
+            OPEN,
+            tolerance=0.04,
+            turn=lambda: self._across(0),
+            stray=0.06,
+            spin=SPIN,
+        )
+
+    def grip(
+        self, miss: np.ndarray, askew: float, *, tolerance: float, error: bool = False
+    ) -> Iterator[Aim]:
+        """Down, close and up.
+
+        Args:
+            miss: How far (m) beside the handle [3].
+            askew: Angle (rad) by which it grips it askew.
+            tolerance: How near (m) to that it closes.
+            error: Whether that is an error.
+        """
+        yield from self.hand.reach(
+            lambda: self._over(miss),
+            OPEN,
+            tolerance=tolerance,
+            turn=lambda: self._across(askew),
+            trim=0.05,
+            error=error,
+        )
+        yield from self.hand.hold(CLOSE, steps=9, error=error)
+        up = np.array([*self._sight.grip_position[:2], TABLE_TOP + UP])
+        yield from self.hand.reach(lambda: up, CLOSE, tolerance=0.03, error=error)
+
+    def grip_badly(self, miss: np.ndarray, askew: float) -> Iterator[Aim]:
+        """Aside and askew while still high, so that the nut is not hit, then as `grip`."""
+        yield from self.hand.reach(
+            lambda: self._over(miss, HOVER),
+            OPEN,
+            tolerance=0.04,
+            turn=lambda: self._across(askew),
+            error=True,
+        )
+        yield from self.grip(miss, askew, tolerance=0.025, error=True)
+
+    def lay_down(self) -> Iterator[Aim]:
+        """Down where it is, if it holds the nut up, and open."""
+        down = np.array([*self._sight.grip_position[:2], TABLE_TOP + LAID])
+        if self.middle[2] > TABLE_TOP + UP / 2:
+            yield from self.hand.reach(lambda: down, CLOSE, tolerance=0.02)
+        yield from self.hand.hold(OPEN, steps=4)
+
+    def _grasp(self) -> np.ndarray:
+        return self.middle + GRIP * self.along() + [0, 0, GRASP]
+
+    def _over(self, miss: np.ndarray, least: float = 0) -> np.ndarray:
+        there = self._grasp() + miss
+        return np.add(there, [0, 0, funnel(self._sight.grip_position - there, least, HOVER)])
+
+    def _across(self, askew: float) -> np.ndarray:
+        at, close = self._sight.grip_position, np.cross([0, 0, 1], self.along())
+        close = -close if _twist(self.base, at, close) > np.pi / 2 else close
+        turned = matrix_from_rotvec(np.array([0, 0, askew])) @ close
+        return easy_grip(self.base, at, turned)
 
 
 def _over_peg(

@@ -31,6 +31,8 @@ def test_what_does_not_go_together_is_refused():
         tiny("attention", "late", heatmap_weight=1.0)
     with pytest.raises(ConfigError, match="teaches 2 heat maps"):
         tiny("laptop", "keypoints", heatmap_weight=1.0, keypoints=1)
+    with pytest.raises(ConfigError, match="warp has its heat maps over others"):
+        tiny("laptop", "warp", heatmap_weight=1.0)
     with pytest.raises(ConfigError, match="heatmap_weight needs keyframes"):
         tiny("laptop", "keypoints", heatmap_weight=1.0, keyframe_weight=0.0)
     with pytest.raises(ConfigError, match="action_frame camera has them in another frame"):
