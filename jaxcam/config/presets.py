@@ -140,7 +140,11 @@ PRESETS: dict[tuple[PolicyName, PresetName], Preset] = {
 # What single tasks need otherwise; docs/results.md has what was tried.
 OF_TASKS: dict[tuple[PolicyName, PresetName, str], dict[str, Any]] = {
     ("act", "laptop", "lift"): {"steps": 2000},
-    ("act", "laptop", "square"): {"steps": 8000},
+    ("act", "laptop", "square"): {
+        "steps": 6000,
+        "model": ("heatmap_weight=1", "lift_unit=0.125"),
+        "before": ("heatmap_weight=0", "lift_unit=0"),
+    },
     ("act", "attention", "lift"): {"steps": 2000},
 }
 

@@ -221,7 +221,8 @@ def _demo(
     length: int,
 ) -> Demo:
     states = trace[: length + 1]
-    return Demo.record(
+    own = np.array([e[i] for e in errors[:length]])
+    demo = Demo.record(
         Start(*(x[i] for x in start)),
         seed=seed,
         qpos=np.stack([s.qpos[i] for s in states]),
@@ -230,8 +231,8 @@ def _demo(
         grip_position=np.stack([s.grip_position[i] for s in states]),
         grip_rotation=np.stack([s.grip_rotation[i] for s in states]),
         gripper=np.array([s.closed[i] for s in states]),
-        errors=np.array([e[i] for e in errors[:length]]),
     )
+    return replace(demo, errors=own) if own.any() else demo
 
 
 def main(config: CollectConfig, console: Console) -> None:

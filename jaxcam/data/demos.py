@@ -127,7 +127,6 @@ class Demo:
         grip_position: np.ndarray,
         grip_rotation: np.ndarray,
         gripper: np.ndarray,
-        errors: np.ndarray | None = None,
     ) -> "Demo":
         """A demonstration as it is made, without cameras.
 
@@ -140,7 +139,6 @@ class Demo:
             grip_position: Measured grip site (m, world) [T + 1, 3].
             grip_rotation: Its axes in the world, [T + 1, 3, 3].
             gripper: The gripper's command, -1 open to 1 closed, [T + 1].
-            errors: Whether each command errs on purpose, bool [T]; None if none does.
         """
         time = np.arange(len(qpos))[:, None] / CONTROL_HZ
         return cls(
@@ -154,7 +152,6 @@ class Demo:
             geom_size=start.geom_size,
             fixtures=start.fixtures,
             cameras=np.empty(0, int),
-            errors=errors if errors is not None and errors.any() else None,
         )
 
 

@@ -63,15 +63,15 @@ def make_policy(config: Any, spec: PolicySpec, stats: Stats) -> Policy:
 
 def check_true_cameras(config: TrainConfig) -> None:
     """Refuses to teach heat maps where batches do not say where the cameras are, in the base."""
-    for flag, told, true in (
+    for flag, given, true in (
         ("ray-frame", config.ray_frame, "base"),
         ("rays-from", config.rays_from, "true"),
         ("pose-noise", config.pose_noise, ""),
     ):
-        if told != true:
+        if given != true:
             raise ConfigError(
-                f"model: heatmap_weight is taught by the cameras' true poses and intrinsics in the "
-                f"base, which --{flag} {told} changes. Leave one of the two out."
+                "model: heatmap_weight is taught by the cameras' true poses and intrinsics in the "
+                f"base, which --{flag} {given} changes. --model heatmap_weight=0 teaches none."
             )
 
 

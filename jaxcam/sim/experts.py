@@ -80,12 +80,16 @@ class Hand:
     Args:
         sight: What the expert sees, renewed between aims; the set-point starts at its grip pose
             and keeps that orientation.
+
+    Attributes:
+        errs: Whether its aims err on purpose (`Aim.error`).
     """
 
     def __init__(self, sight: ExpertSight) -> None:
         self._sight = sight
         self._point = sight.grip_position.copy()
         self._rotation = sight.grip_rotation.copy()
+        self.errs = False
 
     def reach(
         self,
@@ -97,7 +101,6 @@ class Hand:
         trim: float = 0.0,
         stray: float = 0.0,
         spin: float = 0.0,
-        error: bool = False,
     ) -> Iterator[Aim]:
         """Moves towards a goal (m, world), which may move, until the grip is within `tolerance`.
 
@@ -116,7 +119,6 @@ class Hand:
             spin: Largest turn (rad) per step, about the vertical, of a set-point that strays; 0
                 goes on turning to `turn`. A policy that is shown hands which always turn the right
                 way reads the turn off its own joints.
-            error: Whether the goal is wrong on purpose (`Aim.error`).
         """
         rng, astray, drift, extra = self._sight.rng, 0, np.zeros(3), np.zeros(3)
         twist = np.zeros(3)
@@ -136,19 +138,19 @@ class Hand:
                 self._turn(turn())
             if astray:
                 astray, move = astray - 1, drift
-            yield self._move(move, gripper, error=error)
+            yield self._move(move, gripper)
             near = np.linalg.norm(goal() - self._sight.grip_position) < tolerance
             if near and not astray and (turn is None or self._angle(turn()) < AIMED):
                 return
 
-    def hold(self, gripper: float, *, steps: int, error: bool = False) -> Iterator[Aim]:
-        """Keeps the set-point for a number of control steps; see `reach`."""
+    def hold(self, gripper: float, *, steps: int) -> Iterator[Aim]:
+        """Keeps the set-point for a number of control steps."""
         for _ in range(steps):
-            yield self._move(np.zeros(3), gripper, error=error)
+            yield self._move(np.zeros(3), gripper)
 
-    def _move(self, move: np.ndarray, gripper: float, *, error: bool) -> Aim:
+    def _move(self, move: np.ndarray, gripper: float) -> Aim:
         self._point = self._point + move
-        return Aim(self._point, self._rotation, gripper, error)
+        return Aim(self._point, self._rotation, gripper, self.errs)
 
     def _turn(self, goal: np.ndarray) -> None:
         turn = rotvec_from_matrix(goal @ self._rotation.T)

@@ -38,18 +38,18 @@ def test_a_policy_that_is_told_its_camera_is_nobodys_twin():
 
 
 @pytest.mark.parametrize(
-    ("told", "words"),
+    ("cameras", "words"),
     [
         ({"ray_frame": "grip"}, "--ray-frame grip"),
         ({"rays_from": "nominal"}, "--rays-from nominal"),
         ({"pose_noise": "1,1"}, "--pose-noise 1,1"),
     ],
 )
-def test_heat_maps_are_taught_by_true_cameras_only(told, words):
+def test_heat_maps_are_taught_by_true_cameras_only(cameras, words):
     taught = TrainConfig(preset="laptop", model=("heatmap_weight=1",))
     assert policy_settings(resolve(taught, accelerator=False), ()).heatmap_weight == 1
     with pytest.raises(ConfigError, match=f"true poses and intrinsics in the base, which {words}"):
-        policy_settings(resolve(replace(taught, **told), accelerator=False), ())
+        policy_settings(resolve(replace(taught, **cameras), accelerator=False), ())
 
 
 def test_nominal_pose_is_a_camera_that_looks_at_the_table():

@@ -105,7 +105,7 @@ def test_settings_with_commas_alone_keep_the_names_of_version_0_2_0():
 
 def test_single_tasks_have_values_of_their_own():
     lift, square = (resolve(TrainConfig(task=t), accelerator=False) for t in ("lift", "square"))
-    assert (lift.steps, square.steps) == (2000, 8000)
+    assert (lift.steps, square.steps) == (2000, 6000)
     assert lift.warmup == square.warmup == 200
     assert changes(identity(lift) | {"engine": "native"}) == {}
 

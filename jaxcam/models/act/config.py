@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from jaxcam.config.fields import check_least
 from jaxcam.errors import ConfigError
 from jaxcam.models.conditioning import VisionConfig, check_known
-from jaxcam.models.heatmaps import TAUGHT
+from jaxcam.models.keypoints import TAUGHT
 from jaxcam.models.losses import PADDINGS
 from jaxcam.models.normalization import ORIGINAL_STD_FLOOR, STD_FLOOR
 from jaxcam.models.policy import PolicySpec
@@ -24,7 +24,7 @@ class ActConfig(VisionConfig):
     predicts none. A keyframe is where the grip will be when its command next changes."""
     heatmap_weight: float = 0.0
     """Weight of the loss that teaches two heat maps of every view to lie where the keyframe is
-    seen, see `jaxcam.models.heatmaps`; 0 teaches none."""
+    seen, see `jaxcam.models.keypoints`; 0 teaches none."""
     head: str = "transformer"
     """From tokens to actions: the paper's transformer, or an mlp over all tokens at once."""
     width: int = 512
@@ -89,7 +89,7 @@ class ActConfig(VisionConfig):
         if self.network == "warp":
             raise ConfigError(
                 "heatmap_weight is for pictures as they are: conditioning warp has its heat maps "
-                "over others."
+                "over others. heatmap_weight=0 teaches none."
             )
         if not self.keyframe_weight:
             raise ConfigError("heatmap_weight needs keyframes: take keyframe_weight=0.9, too.")

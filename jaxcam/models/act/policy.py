@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxcam.models.act.config import ACT_PRESETS, ActConfig
 from jaxcam.models.act.network import Act
 from jaxcam.models.conditioning import with_conditioning
-from jaxcam.models.heatmaps import heatmap_loss
+from jaxcam.models.keypoints import heatmap_loss
 from jaxcam.models.losses import padded_mean
 from jaxcam.models.normalization import (
     action_deviation,

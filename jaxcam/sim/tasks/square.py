@@ -181,16 +181,13 @@ class _NutGripper:
             spin=SPIN,
         )
 
-    def grip(
-        self, miss: np.ndarray, askew: float, *, tolerance: float, error: bool = False
-    ) -> Iterator[Aim]:
+    def grip(self, miss: np.ndarray, askew: float, *, tolerance: float) -> Iterator[Aim]:
         """Down, close and up.
 
         Args:
             miss: How far (m) beside the handle [3].
             askew: Angle (rad) by which it grips it askew.
             tolerance: How near (m) to that it closes.
-            error: Whether that is an error.
         """
         yield from self.hand.reach(
             lambda: self._over(miss),
@@ -198,22 +195,22 @@ class _NutGripper:
             tolerance=tolerance,
             turn=lambda: self._across(askew),
             trim=0.05,
-            error=error,
         )
-        yield from self.hand.hold(CLOSE, steps=9, error=error)
+        yield from self.hand.hold(CLOSE, steps=9)
         up = np.array([*self._sight.grip_position[:2], TABLE_TOP + UP])
-        yield from self.hand.reach(lambda: up, CLOSE, tolerance=0.03, error=error)
+        yield from self.hand.reach(lambda: up, CLOSE, tolerance=0.03)
 
     def grip_badly(self, miss: np.ndarray, askew: float) -> Iterator[Aim]:
-        """Aside and askew while still high, so that the nut is not hit, then as `grip`."""
+        """Aside and askew while still high, so that the nut is not hit, then as `grip`: errors."""
+        self.hand.errs = True
         yield from self.hand.reach(
             lambda: self._over(miss, HOVER),
             OPEN,
             tolerance=0.04,
             turn=lambda: self._across(askew),
-            error=True,
         )
-        yield from self.grip(miss, askew, tolerance=0.025, error=True)
+        yield from self.grip(miss, askew, tolerance=0.025)
+        self.hand.errs = False
 
     def lay_down(self) -> Iterator[Aim]:
         """Down where it is, if it holds the nut up, and open."""
