@@ -26,10 +26,11 @@ ARRAYS: Mapping[str, str] = {
     "obs/robot0_gripper": "gripper",
     "start/geom_size": "geom_size",
     "start/fixtures": "fixtures",
+    "errors": "errors",
 }
 """Paths of a demonstration's arrays in its group, and their fields of `Demo`."""
-ERRORS = "errors"
-"""Path, and field of `Demo`, of an array that only demonstrations have which err on purpose."""
+OPTIONAL = frozenset({"errors"})
+"""Those, of either name, that not all demonstrations have: only some err on purpose."""
 SEAL = "sha256_of_all"
 """Attribute of `data` with the hash of everything that is read (`seal_of_all`)."""
 OLD_SEAL = "sha256"
@@ -172,16 +173,16 @@ def check_arrays(where: str, arrays: Mapping[str, np.ndarray], *, nq: int, nv: i
         "gripper": (rows,),
         "geom_size": (None, 3),
         "fixtures": (None, 7),
-        **({ERRORS: (steps,)} if ERRORS in arrays else {}),
+        "errors": (steps,),
     }
-    for name, shape in shapes.items():
-        array = arrays[name]
+    for name, array in arrays.items():
+        shape = shapes[name]
         if len(array.shape) != len(shape) or any(
             wanted not in (None, got) for wanted, got in zip(shape, array.shape, strict=True)
         ):
             asked = str(["any" if x is None else x for x in shape]).replace("'", "")
             raise DatasetError(f"{where}: {name} is {list(array.shape)}, expected {asked}.")
-        if name == ERRORS:
+        if name == "errors":
             _check_errors(where, array)
         else:
             _check_numbers(where, name, array)
@@ -217,10 +218,10 @@ def check_starts(path: Path, task: str, scene: str, starts: Iterable[HasStart]) 
 
 def _check_errors(where: str, array: np.ndarray) -> None:
     if array.dtype.kind != "b":
-        raise DatasetError(f"{where}: {ERRORS} is {array.dtype}, expected true or false.")
+        raise DatasetError(f"{where}: errors is {array.dtype}, expected true or false.")
     if array.all():
         raise DatasetError(
-            f"{where}: all {array.size} steps are {ERRORS}, so nothing is left to imitate. Leave "
+            f"{where}: all {array.size} steps are errors, so nothing is left to imitate. Leave "
             "the demonstration out."
         )
 

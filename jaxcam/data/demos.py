@@ -34,8 +34,8 @@ import numpy as np
 
 from jaxcam.data.contents import (
     ARRAYS,
-    ERRORS,
     OLD_SEAL,
+    OPTIONAL,
     SEAL,
     check_about,
     check_arrays,
@@ -102,7 +102,7 @@ class Demo:
     def arrays(self) -> dict[str, np.ndarray]:
         """Its arrays by their names in a file."""
         arrays = {name: getattr(self, of) for name, of in ARRAYS.items()}
-        return arrays if self.errors is None else {**arrays, ERRORS: self.errors}
+        return {name: array for name, array in arrays.items() if array is not None}
 
     def start(self) -> Start:
         """What fixes the episode before its first step."""
@@ -354,8 +354,11 @@ def _read_demo(path: Path, file: h5py.File, index: int, header: Header) -> Demo:
     where = f"{path}: {name}"
     try:
         seed, cameras = (np.asarray(group.attrs[key]) for key in ("seed", "cameras"))
-        names = {**ARRAYS, **({ERRORS: ERRORS} if ERRORS in group else {})}
-        arrays = {of: _array(where, group, key) for key, of in names.items()}
+        arrays = {
+            of: _array(where, group, key)
+            for key, of in ARRAYS.items()
+            if key in group or key not in OPTIONAL
+        }
     except KeyError as error:
         raise DatasetError(f"{where}: {error}.") from error
     except OSError as error:

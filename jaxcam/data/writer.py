@@ -22,8 +22,8 @@ import numpy as np
 
 from jaxcam.data.contents import (
     ARRAYS,
-    ERRORS,
     OLD_SEAL,
+    OPTIONAL,
     SEAL,
     check_about,
     check_arrays,
@@ -138,8 +138,7 @@ class DemoWriter:
         Raises:
             DatasetError: It has numbers that cannot be, or there is no room for it.
         """
-        fields = {**ARRAYS, ERRORS: ERRORS}
-        arrays: dict[str, Any] = {fields[name]: array for name, array in demo.arrays().items()}
+        arrays: dict[str, Any] = {ARRAYS[name]: array for name, array in demo.arrays().items()}
         where = f"{self.path}: data/demo_{index}"
         check_arrays(where, arrays, nq=self.header.nq, nv=self.header.nv)
         content = io.BytesIO()
@@ -256,7 +255,7 @@ def _read_header(path: Path) -> Header:
 
 def _read_episode(path: Path, header: Header) -> Demo:
     with np.load(path, allow_pickle=False) as file:
-        names = [*ARRAYS.values(), *([ERRORS] if ERRORS in file else [])]
+        names = (name for name in ARRAYS.values() if name in file or name not in OPTIONAL)
         arrays = {name: file[name] for name in names}
         seed, cameras = int(file["seed"]), file["cameras"]
     check_arrays(str(path), arrays, nq=header.nq, nv=header.nv)

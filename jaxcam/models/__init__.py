@@ -61,7 +61,7 @@ def make_policy(config: Any, spec: PolicySpec, stats: Stats) -> Policy:
     return in_action_frame(family.make(config, spec, stats))
 
 
-def check_true_cameras(config: TrainConfig) -> None:
+def _check_true_cameras(config: TrainConfig) -> None:
     """Refuses to teach heat maps where batches do not say where the cameras are, in the base."""
     for flag, given, true in (
         ("ray-frame", config.ray_frame, "base"),
@@ -107,7 +107,7 @@ def policy_settings(
             base_from_actions=tuple(tuple(map(float, row)) for row in frame),
         )
     if getattr(settings, "heatmap_weight", 0):
-        check_true_cameras(config)
+        _check_true_cameras(config)
     ahead = settings.chunk - settings.obs_steps + 1
     # A preset's number may be more than a chunk that is shortened has; one that is asked may not.
     if "execute" in overrides(config.model) and settings.execute > ahead:

@@ -11,7 +11,7 @@ from spoilt import assert_refused, put, unseal
 
 from jaxcam.config.datasets import CollectConfig
 from jaxcam.data.collection import collect
-from jaxcam.data.contents import ARRAYS
+from jaxcam.data.contents import ARRAYS, OPTIONAL
 from jaxcam.data.demos import read_demos
 from jaxcam.errors import DatasetError
 from jaxcam.rays import ROTATION_TOLERANCE, stair_cameras
@@ -35,7 +35,7 @@ def test_layout_is_robomimics(demos):
                     arrays.append(key) if isinstance(item, h5py.Dataset) else None
                 )
             )
-            assert set(arrays) == set(ARRAYS), name
+            assert set(arrays) == set(ARRAYS) - OPTIONAL, name
             assert all(group[key].fletcher32 for key in arrays)
             steps = group.attrs["num_samples"]
             assert group["actions"].shape == (steps, 7)

@@ -18,7 +18,6 @@ from rich.console import Console
 from jaxcam.config.datasets import LerobotConfig
 from jaxcam.console.progress import progress
 from jaxcam.data.batches import Dataset, make_dataset
-from jaxcam.data.contents import ERRORS
 from jaxcam.data.demos import Demos, read_demos
 from jaxcam.data.header import Header
 from jaxcam.data.pictures import load_pictures
@@ -170,7 +169,7 @@ def _features(config: LerobotConfig, data: Dataset, views: list[str]) -> dict[st
         if data.distortion is not None:
             features[f"camera.{view}.distortion"] = feature("float32", data.distortion.shape[-1:])
     if data.errors is not None:
-        features[ERRORS] = feature("bool", (1,))
+        features["errors"] = feature("bool", (1,))
     return features
 
 
@@ -186,7 +185,7 @@ def _rows(data: Dataset, demo: int, views: list[str]) -> dict[str, np.ndarray]:
             lens = data.distortion[camera]
             rows[f"camera.{view}.distortion"] = np.broadcast_to(lens, (length, len(lens)))
     if data.errors is not None:
-        rows[ERRORS] = data.errors[demo, :length]
+        rows["errors"] = data.errors[demo, :length]
     return rows
 
 

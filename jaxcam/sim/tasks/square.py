@@ -171,7 +171,7 @@ class _NutGripper:
         return bool(off < WELL_HELD and askew < STRAIGHT)
 
     def approach(self) -> Iterator[Aim]:
-        """Until over the handle and turned across it, with errors on the way."""
+        """Until over the handle and turned across it, straying on the way."""
         yield from self.hand.reach(
             lambda: self._over(ON_IT, HOVER),
             OPEN,
