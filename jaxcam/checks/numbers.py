@@ -8,6 +8,7 @@ from jaxcam.checks.findings import Finding, bad, good, note
 from jaxcam.checks.held_out import camera_numbers
 from jaxcam.console.words import some
 from jaxcam.data.demos import Demo, Demos
+from jaxcam.data.recorded.recording import Episode
 from jaxcam.sim.actions import encode
 from jaxcam.sim.controllers import CONTROL_HZ
 
@@ -145,11 +146,11 @@ def _longest(vectors: np.ndarray) -> float:
     return float(np.linalg.norm(vectors, axis=-1).max(initial=0.0))
 
 
-def check_errors(episodes: Sequence[Demo]) -> Finding:
+def check_errors(episodes: Sequence[Demo | Episode]) -> Finding:
     """How many commands err on purpose."""
     some_errors = [demo.errors.sum() for demo in episodes if demo.errors is not None]
     share = sum(some_errors) / sum(demo.length for demo in episodes)
-    got = f"{share:.1%} of the commands, in {len(some_errors)} demonstrations: not taught"
+    got = f"{share:.1%} of the actions, in {len(some_errors)} demonstrations: not taught"
     return good("errors on purpose", got=got if some_errors else "none")
 
 

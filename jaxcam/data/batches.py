@@ -215,7 +215,7 @@ def make_dataset(
     """
     longest = int(pictures.layout.lengths.max())
     actions, keyframes, proprio, ray_frames = [], [], [], []
-    errors = errors_of(demos)
+    errors = errors_of(demos.episodes)
     for demo in demos.episodes:
         moves = demo_actions(demo, space, scene)
         state = scene.proprio(demo.qpos, demo.eef_pos)[:-1]
@@ -241,7 +241,9 @@ def make_dataset(
         distortion=None if lenses is None else lenses.astype(np.float32),
         windows=[d.cameras for d in demos.episodes],
         errors=errors,
-        keyframe_errors=None if errors is None else _keyframe_errors(demos.episodes, errors),
+        keyframe_errors=None
+        if errors is None
+        else keyframe_errors(errors, [_next_changes(demo) for demo in demos.episodes]),
         ray_frames=np.stack(ray_frames) if ray_frames else None,
         train=len(demos.train),
         fingerprint=f"{demos.fingerprint}-{size_name(height, width)}px-"
@@ -287,11 +289,19 @@ def _keyframes(demo: Demo, scene: World) -> np.ndarray:
     return (world - scene.world_from_base[:3, 3]) @ scene.world_from_base[:3, :3]
 
 
-def _keyframe_errors(demos: Sequence[Demo], errors: np.ndarray) -> np.ndarray:
-    """Where the next change of the gripper's command is an error, bool as `errors` [D, T]."""
+def keyframe_errors(errors: np.ndarray, changes: Sequence[np.ndarray]) -> np.ndarray:
+    """Where the gripper's command next changes by error, so that nobody knows the keyframe.
+
+    Args:
+        errors: Which actions err on purpose, bool [D, T].
+        changes: Of each demonstration the step of that change, or its length, [its T].
+
+    Returns:
+        Bool [D, T].
+    """
     by_error = np.zeros_like(errors)
-    for row, own, demo in zip(by_error, errors, demos, strict=True):
-        row[: demo.length] = np.append(own[: demo.length], False)[_next_changes(demo)]
+    for row, own, step in zip(by_error, errors, changes, strict=True):
+        row[: len(step)] = np.append(own[: len(step)], False)[step]
     return by_error
 
 

@@ -246,7 +246,8 @@ def fingerprint_of(header: Header, demos: Sequence[Demo]) -> str:
         digest.update(np.ascontiguousarray(array).tobytes())
     for demo in demos:
         arrays = (demo.states, demo.actions, demo.geom_size, demo.fixtures, demo.cameras)
-        for array in arrays if demo.errors is None else (*arrays, demo.errors):
+        errors = [] if demo.errors is None or not demo.errors.any() else [demo.errors]
+        for array in (*arrays, *errors):
             digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()[:16]
 

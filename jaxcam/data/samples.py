@@ -1,22 +1,22 @@
 """Which pictures a dataset has, and which samples of them a run takes, given its seed."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from jaxcam.data.demos import Demos
+from jaxcam.data.demos import Demo, Demos
+from jaxcam.data.recorded.recording import Episode
 from jaxcam.errors import DatasetError
 
 Sample = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Demonstrations [B], time steps [B] and cameras [B, V] of some samples."""
 
 
-def errors_of(demos: Demos) -> np.ndarray | None:
+def errors_of(episodes: Sequence[Demo | Episode]) -> np.ndarray | None:
     """Which commands of each demonstration err on purpose, bool [D, T]; None where none does."""
-    episodes = demos.episodes
-    if all(demo.errors is None for demo in episodes):
+    if not any(demo.errors is not None and demo.errors.any() for demo in episodes):
         return None
     errors = np.zeros((len(episodes), max(demo.length for demo in episodes)), bool)
     for row, demo in zip(errors, episodes, strict=True):

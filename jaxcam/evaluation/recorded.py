@@ -77,7 +77,8 @@ def _errors_of(
         batch["base_from_camera"] = batch["base_from_camera"] @ np.asarray(moved)
     # Chunks of data begin at the oldest observation, those of a policy at the newest.
     targets, is_pad = (batch.pop(name)[:, spec.obs_steps - 1 :] for name in ("action", "is_pad"))
-    batch.pop("keyframe", None)
+    for name in ("keyframe", "keyframe_is_pad"):
+        batch.pop(name, None)
     predicted = np.asarray(act(params, batch, jax.random.key(0)))
     errors = np.where(is_pad[..., None], np.nan, np.abs(predicted - targets))
     count = np.isfinite(errors).sum(0)

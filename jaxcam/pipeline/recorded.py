@@ -16,7 +16,6 @@ from jaxcam.data.recorded.parts import HeldOut, Meaning, Parts, make_recorded, m
 from jaxcam.data.recorded.pictures import load_recorded_pictures
 from jaxcam.data.recorded.recording import Recording
 from jaxcam.data.recorded.spaces import as_learned
-from jaxcam.data.samples import Samples
 from jaxcam.data.splits import NO_VALIDATION
 from jaxcam.devices import has_accelerator, own
 from jaxcam.errors import ConfigError
@@ -181,8 +180,8 @@ class Recorded:
         if console and len(parts.all) == parts.train:
             console.print(f"{self.recording.path}: {NO_VALIDATION}", soft_wrap=True)
         obs_steps = policy_settings(config, self.prompts).obs_steps
-        samples = Samples(parts.layout(self.recording), parts.train, ordered=True)
         seeds = [c.seed for c in configs]
+        samples = parts.samples(self.recording)
         wanted = samples.wanted(seeds, config.steps, config.batch, config.views, obs_steps)
         size = rows_and_columns(config.resolution)
         folder = absolute(config.data_dir)

@@ -106,7 +106,7 @@ class Simulated:
             demos = collect(CollectConfig.of(config), console)
         if console and not demos.valid:
             console.print(f"{demos.path}: {NO_VALIDATION}", soft_wrap=True)
-        samples = Samples(Layout.of(demos), len(demos.train), errors=errors_of(demos))
+        samples = Samples(Layout.of(demos), len(demos.train), errors=errors_of(demos.episodes))
         samples.check_views(config.views)
         seeds, obs_steps = (
             [c.seed for c in configs],

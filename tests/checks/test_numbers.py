@@ -101,7 +101,7 @@ def test_errors_on_purpose_are_counted(demos):
     half = with_errors(demos.train[0], 0, demos.train[0].length // 2)
     finding = check_errors([half, demos.train[0]])
     assert finding.mark == "good"
-    assert re.match(r"2[45]\.\d% of the commands, in 1 demonstrations: not taught", finding.got)
+    assert re.match(r"2[45]\.\d% of the actions, in 1 demonstrations: not taught", finding.got)
 
 
 @pytest.mark.parametrize("case", CASES)

@@ -17,7 +17,8 @@ from places import TESTS
 
 from jaxcam.config.datasets import CollectConfig
 from jaxcam.data.collection import collect, dataset_path
-from jaxcam.data.demos import read_demos
+from jaxcam.data.demos import fingerprint_of, read_demos
+from jaxcam.data.samples import errors_of
 from jaxcam.data.writer import DemoWriter, discard, unfinished
 from jaxcam.errors import DatasetError
 from jaxcam.files.locks import NamedLock
@@ -71,6 +72,13 @@ def test_errors_are_kept_by_a_writer_that_goes_on_and_are_part_of_what_a_file_is
     with h5py.File(path) as file:
         assert file["data/demo_1/errors"].fletcher32
         assert "errors" not in file["data/demo_0"]
+
+
+def test_errors_that_are_none_make_no_other_dataset():
+    some = [tiny(0), tiny(1)]
+    said = [with_errors(demo, 2, 2) for demo in some]
+    assert fingerprint_of(header(), said) == fingerprint_of(header(), some)
+    assert errors_of(said) is None
 
 
 def test_a_killed_collection_ends_as_an_uninterrupted_one(demos, tmp_path, monkeypatch):

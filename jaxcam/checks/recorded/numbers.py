@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxcam.checks.dataset import twins
 from jaxcam.checks.findings import bad, good, note
-from jaxcam.checks.numbers import SHORT, STILL, Spread
+from jaxcam.checks.numbers import SHORT, STILL, Spread, check_errors
 from jaxcam.checks.recorded.judged import Judged, called, names
 from jaxcam.console.words import some
 from jaxcam.data.recorded.parts import Meaning
@@ -44,6 +44,8 @@ def check_numbers(recording: Recording, meaning: Meaning) -> Iterator[Judged]:
         yield _constants(recording)
         yield from _jumps(recording)
         yield _outliers(recording)
+    if any(episode.errors is not None for episode in recording.episodes):
+        yield Judged(check_errors(recording.episodes))
 
 
 def _arrays(episode: Episode) -> dict[str, np.ndarray]:

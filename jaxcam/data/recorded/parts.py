@@ -15,11 +15,11 @@ from typing import Literal
 import numpy as np
 
 from jaxcam.config.sizes import size_name
-from jaxcam.data.batches import Dataset
+from jaxcam.data.batches import Dataset, keyframe_errors
 from jaxcam.data.pictures import Pictures
 from jaxcam.data.recorded.fitting import Fit, fit
 from jaxcam.data.recorded.recording import Calibration, Episode, Recording
-from jaxcam.data.samples import Layout
+from jaxcam.data.samples import Layout, Samples, errors_of
 from jaxcam.errors import ConfigError, closest
 
 Group = Literal["training", "new episodes", "new cameras"]
@@ -126,12 +126,21 @@ class Parts:
         names = json.dumps([(p.episode, p.views) for p in self.all])
         return hashlib.sha256(names.encode()).hexdigest()[:8]
 
+    def episodes(self, recording: Recording) -> list[Episode]:
+        """What they are of."""
+        return [recording.episodes[part.episode] for part in self.all]
+
     def layout(self, recording: Recording) -> Layout:
         """The order of their pictures."""
         return Layout(
-            np.array([recording.episodes[p.episode].length for p in self.all]),
+            np.array([episode.length for episode in self.episodes(recording)]),
             np.array([len(p.views) for p in self.all]),
         )
+
+    def samples(self, recording: Recording) -> Samples:
+        """Which of their samples a run takes."""
+        errors = errors_of(self.episodes(recording))
+        return Samples(self.layout(recording), self.train, ordered=True, errors=errors)
 
 
 def parts_of(recording: Recording, held_out: HeldOut, views: int) -> Parts:
@@ -206,16 +215,22 @@ def make_recorded(
         meaning: What is known of its numbers.
     """
     cameras = _Cameras(pictures.rgb.shape[1:3])
-    episodes = [recording.episodes[p.episode] for p in parts.all]
+    episodes = parts.episodes(recording)
     windows = [
         cameras.window(episode, part.views)
         for episode, part in zip(episodes, parts.all, strict=True)
     ]
     longest = max(e.length for e in episodes)
-    keyframes = None
+    errors = errors_of(episodes)
+    keyframes = unknown_keyframes = None
     if meaning.grip is not None and meaning.gripper is not None:
-        each = [_keyframes(e, meaning.grip, meaning.gripper) for e in episodes]
-        keyframes = _padded(each, longest)
+        changes = [_next_changes(e, meaning.gripper) for e in episodes]
+        reached = [
+            e.state[np.minimum(steps, e.length - 1)][:, list(meaning.grip)]
+            for e, steps in zip(episodes, changes, strict=True)
+        ]
+        keyframes = _padded(reached, longest)
+        unknown_keyframes = None if errors is None else keyframe_errors(errors, changes)
     lenses = np.stack(cameras.lenses).astype(np.float32)
     asked = np.array([recording.instructions.index(e.instruction) for e in episodes], np.int32)
     return Dataset(
@@ -228,6 +243,8 @@ def make_recorded(
         train=parts.train,
         fingerprint=f"{recording.fingerprint}-{parts.digest}-{size_name(*pictures.rgb.shape[1:3])}px",
         keyframes=keyframes,
+        errors=errors,
+        keyframe_errors=unknown_keyframes,
         distortion=lenses if lenses.any() else None,
         instruction=asked if len(recording.instructions) > 1 else None,
         ordered=True,
@@ -238,13 +255,12 @@ def _padded(arrays: Sequence[np.ndarray], longest: int) -> np.ndarray:
     return np.stack([np.pad(a, ((0, longest - len(a)), (0, 0))) for a in arrays]).astype(np.float32)
 
 
-def _keyframes(episode: Episode, grip: Sequence[int], gripper: int) -> np.ndarray:
-    """Where the grip is when its command next crosses the middle of its range, or at the end."""
+def _next_changes(episode: Episode, gripper: int) -> np.ndarray:
+    """The step at which the gripper's command next crosses the middle of its range, or T, [T]."""
     command = episode.action[:, gripper]
     closed = command > (command.min() + command.max()) / 2
-    changes = np.append(np.flatnonzero(np.diff(closed)) + 1, episode.length - 1)
-    following = changes[np.searchsorted(changes[:-1], np.arange(episode.length), side="right")]
-    return episode.state[following][:, list(grip)]
+    changes = np.append(np.flatnonzero(np.diff(closed)) + 1, episode.length)
+    return changes[np.searchsorted(changes, np.arange(episode.length), side="right")]
 
 
 class _Cameras:

@@ -82,6 +82,9 @@ class Episode:
     """What was asked of it, in words; empty where nobody says."""
     sights: Mapping[str, Sight] = field(repr=False)
     """By the view's name; a view that did not see this episode is missing."""
+    errors: np.ndarray | None = field(default=None, repr=False)
+    """Which actions err on purpose, so that they are not imitated, bool [T]; None where nobody
+    says."""
 
     @property
     def length(self) -> int:

@@ -52,6 +52,8 @@ from jaxcam.rays.lens import PACKED
 
 MATRICES = {"intrinsics": (3, 3), "base_from_camera": (4, 4), "distortion": (PACKED,)}
 """Columns `camera.<view>.<name>` of a calibration and their shapes; the last need not be there."""
+ERRORS = "errors"
+"""The column that says which actions err on purpose, where it is one of true and false."""
 TOLERANCE = 0.1
 """What the time of a picture may be off, in steps."""
 
@@ -68,12 +70,15 @@ class _Columns:
     """By view, those of `MATRICES` that it has."""
     extrinsics: Mapping[str, str]
     """By view, that of DROID's six numbers, where there is one."""
+    errors: bool
+    """Whether there is one of errors on purpose."""
 
     @property
     def all(self) -> list[str]:
         cameras = [name for columns in self.cameras.values() for name in columns.values()]
         cameras += self.extrinsics.values()
-        return list(dict.fromkeys([*self.state, *self.action, *cameras]))
+        errors = [ERRORS] if self.errors else []
+        return list(dict.fromkeys([*self.state, *self.action, *cameras, *errors]))
 
 
 def read_lerobot(
@@ -88,7 +93,8 @@ def read_lerobot(
 
     Cameras whose `camera.<view>.intrinsics` and `camera.<view>.base_from_camera` are among the
     columns, as `jaxcam.lerobot` writes them, are calibrated; the others are not, but for those with
-    DROID's `camera_extrinsics.<view>` it is known where they stood. Depth is no view.
+    DROID's `camera_extrinsics.<view>` it is known where they stood. Depth is no view. Actions where
+    the column `errors` is true are not imitated.
 
     The fingerprint is a hash of all numbers, names, instructions and calibrations, and of the files
     of pictures: their names in the folder, their sizes, and of a table of images all of its
@@ -120,6 +126,7 @@ def read_lerobot(
         columns_of(info.features, action, ACTIONS, where),
         {view: _camera_columns(info, view) for view in views},
         {v: c for v in views if (c := six_numbers.COLUMN.format(view=v)) in info.features},
+        _has_errors(info),
     )
     allowed = _tolerance(tolerance, info)
     tasks, places = read_tasks(root, info), read_episodes(root, info)
@@ -144,8 +151,8 @@ def read_lerobot(
         action_names=names[1],
         rate=float(info.fps),
         episodes=[
-            Episode(episode.place.name, *pair, _instruction(episode, tasks), by_view)
-            for episode, pair, by_view in zip(rows, numbers, sights, strict=True)
+            Episode(e.place.name, *pair, _instruction(e, tasks), by_view, _errors(e))
+            for e, pair, by_view in zip(rows, numbers, sights, strict=True)
         ],
         fingerprint="",
         valid=held_out(root, info, places),
@@ -169,6 +176,25 @@ def _camera_columns(info: Info, view: str) -> dict[str, str]:
     names = {what: f"camera.{view}.{what}" for what in MATRICES}
     there = {what: name for what, name in names.items() if name in info.features}
     return there if {"intrinsics", "base_from_camera"} <= there.keys() else {}
+
+
+def _has_errors(info: Info) -> bool:
+    """Whether a column says which actions err; one of other numbers is somebody else's."""
+    column = info.features.get(ERRORS)
+    return column is not None and column.dtype == "bool" and column.shape in ((), (1,))
+
+
+def _errors(rows: EpisodeRows) -> np.ndarray | None:
+    """Which actions err on purpose, bool [T]; None if none does."""
+    if ERRORS not in rows.columns:
+        return None
+    err = rows.columns[ERRORS][:, 0].astype(bool)
+    if err.all():
+        raise DatasetError(
+            f"{rows.place.table}, {rows.place.name}: all {len(err)} steps are '{ERRORS}', so "
+            "nothing is left to imitate. Leave the episode out."
+        )
+    return err if err.any() else None
 
 
 def _clip(info: Info, rows: EpisodeRows, view: str, key: str, tolerance: float) -> AnyClip | None:
@@ -299,6 +325,8 @@ def _sealed(recording: Recording, clips: Sequence[Mapping[str, AnyClip]]) -> Rec
     whole.add(recording.rate, recording.valid)
     for episode, by_view in zip(recording.episodes, clips, strict=True):
         whole.add(episode.instruction, episode.state, episode.action)
+        if episode.errors is not None:
+            whole.add(episode.errors)
         pictures.add(len(by_view))
         for view, clip in by_view.items():
             file, camera = clip.file, episode.sights[view].calibration

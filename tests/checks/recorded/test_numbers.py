@@ -122,3 +122,15 @@ def test_statistics_have_a_row_for_each_number(data):
     assert [row[0] for row in rows[:3]] == ["steps", "state, ee_x", "state, ee_y"]
     assert len(rows) == 1 + len(data.state_names) + len(data.action_names)
     assert rows[0][1:] == ("10", "12", "14")
+
+
+def test_errors_on_purpose_are_counted_where_somebody_says_so(data):
+    assert "errors on purpose" not in marks(data)
+    err = np.arange(data.episodes[0].length) < 3
+    (finding,) = (
+        j.finding
+        for j in numbers(with_episode(data, 0, errors=err))
+        if j.finding.what == "errors on purpose"
+    )
+    assert finding.mark == "good"
+    assert finding.got == "5.0% of the actions, in 1 demonstrations: not taught"

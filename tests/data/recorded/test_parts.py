@@ -155,6 +155,27 @@ def test_keyframes_are_where_the_gripper_changes(tmp_path):
     _, data = made(tmp_path, recording, HeldOut(episodes=(3,)), meaning=meaning)
     where = [3, 3, 3, 6, 6, 6, 9, 9, 9, 9]
     np.testing.assert_array_equal(data.keyframes[0, :10], first.state[where, :3])
+    assert data.errors is None
+    assert data.keyframe_errors is None
+
+
+def test_actions_that_err_are_not_imitated(tmp_path):
+    recording = robots.recording(tmp_path)
+    first = recording.episodes[0]
+    first.action[:, 4] = [0, 0, 0, 1, 1, 1, 0, 0, 0, 0]
+    err = np.isin(np.arange(10), [2, 3])
+    recording.episodes[0] = dataclasses.replace(first, errors=err)
+    meaning = Meaning(grip=(0, 1, 2), gripper=4)
+    parts, data = made(tmp_path, recording, HeldOut(episodes=(3,)), meaning=meaning)
+    for samples in (data.samples, parts.samples(recording)):
+        drawn = [samples.index(0, step, 6, 1) for step in range(99)]
+        demo, t, _ = (np.concatenate(part) for part in zip(*drawn, strict=True))
+        assert set(t[demo == 0]) == set(np.flatnonzero(~err))
+        assert set(t[demo == 1]) == set(range(11))
+    batch = data.batch(np.array([0, 0]), np.array([0, 4]), np.array([[0], [0]]), chunk=4)
+    np.testing.assert_array_equal(batch["is_pad"], [[0, 0, 1, 1], [0, 0, 0, 0]])
+    np.testing.assert_array_equal(batch["keyframe_is_pad"][1], [0, 0, 0, 0])
+    assert batch["keyframe_is_pad"][0].all()
 
 
 @pytest.mark.parametrize(

@@ -208,7 +208,11 @@ def test_errors_have_a_column_and_nothing_has_it_without(folder, demos, tmp_path
     assert read_json(out, "info")["features"]["errors"] == feature("bool", (1,))
     column = parquet.read_table(out / "data/chunk-000/file-000.parquet")["errors"].to_pylist()
     assert column == erring.errors.tolist() + [False] * demos.train[1].length
-    assert read_lerobot(out).state_names == read_lerobot(folder).state_names
+    again = read_lerobot(out)
+    assert again.state_names == read_lerobot(folder).state_names
+    np.testing.assert_array_equal(again.episodes[0].errors, erring.errors)
+    assert again.episodes[1].errors is None
+    assert all(episode.errors is None for episode in read_lerobot(folder).episodes)
 
 
 def test_metadata_tells_what_rotations_are_counted_from(folder, data, demos):

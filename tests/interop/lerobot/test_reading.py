@@ -34,6 +34,7 @@ from lerobot_datasets import (
 from pyarrow import parquet
 from rights import no_rights
 
+from jaxcam.errors import DatasetError
 from jaxcam.interop.lerobot.format import Writer, feature
 from jaxcam.interop.lerobot.reading import read_lerobot
 
@@ -149,3 +150,34 @@ def test_statistics_are_not_needed_and_images_may_be_the_only_pictures(originals
     assert not (root / "meta/stats.json").exists()
     assert not (root / "videos").exists()
     assert len(read_lerobot(root).episodes) == len(LENGTHS)
+
+
+def with_errors(root, errors, dtype="bool"):
+    """The folder with a column `errors`, whose values follow from the step."""
+    edit_feature(root, "errors", dtype=dtype, shape=[1])
+    for path in (root / "data").rglob("*.parquet"):
+        steps = parquet.read_table(path)["frame_index"].to_pylist()
+        edit_table(path, errors=[errors(step) for step in steps])
+    return root
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_column_says_which_actions_err(originals, copied, version):
+    recording = read_lerobot(with_errors(copied(version), lambda step: step in (1, 2)))
+    for episode in recording.episodes:
+        np.testing.assert_array_equal(np.flatnonzero(episode.errors), [1, 2])
+    assert recording.fingerprint != read_lerobot(originals(version)[0]).fingerprint
+
+
+def test_errors_that_are_none_or_of_somebody_else(originals, copied):
+    usual = read_lerobot(originals()[0]).fingerprint
+    root = with_errors(copied(), lambda step: False)
+    recordings = [read_lerobot(root), read_lerobot(with_errors(root, float, "float32"))]
+    for recording in recordings:
+        assert all(episode.errors is None for episode in recording.episodes)
+        assert recording.fingerprint == usual
+
+
+def test_an_episode_of_errors_alone_is_refused(copied):
+    with pytest.raises(DatasetError, match=r"episode 0: all .* steps are 'errors'.* Leave the ep"):
+        read_lerobot(with_errors(copied(), lambda step: True))
