@@ -19,7 +19,7 @@ from jaxcam.results.rows import Row
 from jaxcam.results.stats import Estimate, success_rate
 from jaxcam.runs.foreign import NOT_SAID
 from jaxcam.runs.identity import (
-    OF_CAMERAS,
+    UNSAID,
     USUAL_SPACE,
     Settings,
     changes,
@@ -84,7 +84,7 @@ class Arm:
         Args:
             name: Of the setting.
         """
-        return self.settings.get(name, OF_CAMERAS.get(name))
+        return self.settings.get(name, UNSAID.get(name))
 
     @functools.cached_property
     def rows(self) -> list[Row]:
@@ -138,7 +138,7 @@ class Arm:
         if self.settings.get("preset") is not None:
             return changes(self.settings)
         views = usual_views(self.settings["task"])
-        usual = usual_way(self.settings["task"]) | OF_CAMERAS
+        usual = usual_way(self.settings["task"]) | UNSAID
         usual |= {"views": views, "action_space": USUAL_SPACE}
         return {
             k: v for k, v in self.settings.items()

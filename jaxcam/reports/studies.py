@@ -9,7 +9,7 @@ from jaxcam.config.names import Conditioning, names_of
 from jaxcam.reports import paper
 from jaxcam.reports.arms import Arm, context
 from jaxcam.reports.tables import by_task
-from jaxcam.runs.identity import OF_CAMERAS
+from jaxcam.runs.identity import UNSAID
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def panels(study: Study, arms: Sequence[Arm]) -> list[Panel]:
     known = [
         a for a in arms
         if a.estimate.n and not a.is_told_wrong and study.belongs(a)
-        and (study.field in a.settings or (study.field in OF_CAMERAS and "preset" in a.settings))
+        and (study.field in a.settings or (study.field in UNSAID and "preset" in a.settings))
     ]  # fmt: skip
     shown = []
     for some in by_task(known).values():

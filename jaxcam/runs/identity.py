@@ -46,8 +46,12 @@ OF_CAMERAS: Settings = {
     name: getattr(TrainConfig, name)
     for name in ("pose_noise", "pose_noise_per", "ray_frame", "rays_from", *OPTICS)
 }
-"""Settings of what a policy is told of cameras, and of their intrinsics, which only runs have in
-which one of them is not the usual one that stands here."""
+"""Settings of what a policy is told of cameras, and of their intrinsics, as they usually are."""
+UNSAID: Settings = OF_CAMERAS | {
+    name: getattr(TrainConfig, name) for name in ("action_frame", "color_jitter")
+}
+"""Settings that came when there were results already, which lack them: so only those runs have one
+in which it is not as usual."""
 RECORDED = "recorded"
 """The task of a run that learns from a recorded dataset."""
 USUAL_SPACE = "eef_delta"
@@ -238,12 +242,10 @@ def identity(config: TrainConfig) -> Settings:
         config: Resolved settings of a run.
     """
     values = {k: v for k, v in asdict(config).items() if k not in _NO_IDENTITY}
-    values = {k: v for k, v in values.items() if k not in OF_CAMERAS or v != OF_CAMERAS[k]}
+    values = said(values)
     values["model"] = list(config.model)
     if config.action_space != "eef_abs":
         del values["rotations"]  # they are none of its actions'
-    if config.action_frame == TrainConfig.action_frame:
-        del values["action_frame"]  # results from before there was another lack it
     if config.task == RECORDED:
         values |= {
             name: list(getattr(config, name)) for name in ("hold_out_view", "hold_out_episodes")
@@ -255,6 +257,11 @@ def identity(config: TrainConfig) -> Settings:
     values["dataset"] = Path(config.dataset).stem
     values["weights"] = Path(config.weights).stem
     return values
+
+
+def said(settings: Settings) -> Settings:
+    """Those of a run's settings that are said where they are; the others are `UNSAID`."""
+    return {k: v for k, v in settings.items() if k not in UNSAID or v != UNSAID[k]}
 
 
 def changes(settings: Settings) -> Settings:
@@ -289,8 +296,8 @@ def usual_way(task: str) -> Settings:
 def _usual(*named: str, steps: int | None = None) -> Settings:
     config = TrainConfig(**dict(zip(_NAMED, named, strict=True)), steps=steps)  # pyright: ignore
     usual = identity(resolve(config, accelerator=False)) | usual_way(config.task)
-    fields = {k: getattr(TrainConfig, k) for k in ("rotations", "action_frame")}
-    return usual | fields | dict.fromkeys(CONDITIONS) | OF_CAMERAS
+    usual |= {"rotations": TrainConfig.rotations}
+    return usual | dict.fromkeys(CONDITIONS) | UNSAID
 
 
 def network_of(settings: Mapping[str, Any]) -> str | None:

@@ -4,6 +4,7 @@ import dataclasses
 import json
 
 import pytest
+from places import REPO
 
 from jaxcam.config.fields import to_json
 from jaxcam.config.presets import PRESETS
@@ -18,6 +19,7 @@ from jaxcam.runs.identity import (
     identity,
     read_config,
     resolve,
+    usual_way,
 )
 
 LAPTOP = resolve(TrainConfig(), accelerator=False)
@@ -135,6 +137,13 @@ def test_a_preset_may_change_the_network_and_says_so_in_the_runs_settings(tmp_pa
     for odd in ({"policy": []}, {"model": 3}, {"preset": "none"}):
         assert TrainConfig.completed(record | odd) == record | odd
     assert [d.field for d in differences(read, attention())] == ["model"]
+
+
+def test_runs_of_today_can_be_compared_with_published_ones():
+    """A new setting belongs into `UNSAID`, or else no older run is one of the same arm."""
+    published = json.loads((REPO / "results/lift-laptop/runs.json").read_text("utf-8"))[0]
+    now = identity(LAPTOP) | usual_way("lift")
+    assert now == published["settings"]
 
 
 def test_given_values_win_over_the_preset():

@@ -13,7 +13,7 @@ from jaxcam.errors import ConfigError, DatasetError
 from jaxcam.files.paths import read_text
 from jaxcam.results.protocol import NOT_RECORDED
 from jaxcam.results.rows import USUAL_WAY
-from jaxcam.runs.identity import Settings, changes
+from jaxcam.runs.identity import Settings, changes, said
 
 NAMED = ("task", "scene", "policy", "conditioning")
 """Settings that every run has."""
@@ -89,7 +89,7 @@ def _record(where: str, entry: Any) -> RunRecord:
             raise DatasetError(f"{where}: {name} is {given.get(name)!r}, expected {expected}.")
     settings = dict(cast("Mapping[str, Any]", given["settings"]))
     if settings.get("preset") is not None:  # what was not trained here lacks nothing
-        settings = TrainConfig.completed(settings)
+        settings = said(TrainConfig.completed(settings))
     settings |= {name: NOT_RECORDED for name in NAMED if name not in settings}
     for name, value in settings.items():
         if not _fits(name, value):

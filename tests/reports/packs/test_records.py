@@ -31,6 +31,16 @@ def test_published_runs_are_read(name):
     assert all(run.rows for run in runs)
 
 
+def test_results_from_before_a_setting_was_there_are_of_the_same_runs(file):
+    """Settings that came later are said where they are not as usual, whoever wrote them down."""
+    (before, _) = read_records(file)
+    settings = before.settings | {"color_jitter": 0.0, "action_frame": "base", "ray_frame": "base"}
+    change(file, settings=settings)
+    assert read_records(file)[0] == before
+    change(file, settings=settings | {"color_jitter": 0.3})
+    assert read_records(file)[0].settings == before.settings | {"color_jitter": 0.3}
+
+
 @pytest.mark.parametrize(
     "content", ["", "{", "null", "3", "{}", '"x"', "[1]", "[null]", "[[]]", "[{}]", "NaN"]
 )
