@@ -43,6 +43,8 @@ _NAMES = {"none": "image only"}
 _OTHER = "#D55E00"
 """Of a conditioning that is not ours, in rows that somebody else wrote."""
 _COLUMNS = 3
+_LETTERS = 5
+"""Letters that find room under a bar."""
 
 
 def colour_of(arm: Arm) -> str:
@@ -76,8 +78,10 @@ def bars(shown: Sequence[Panel], names: Mapping[Any, str]) -> Figure:
             place = at[-1] + 1.6
         axes.set(ylim=(0, 1), xlim=(-0.8, place - 0.8))
         _title(axes, panel.title)
-        long = sum(len(names[value]) for value in panel.arms) > 6 * place
-        labels = [drawn(names[value]) for value in panel.arms]
+        room = int(_LETTERS * min(np.diff(ticks), default=place))
+        lines = [textwrap.wrap(names[v], room, break_long_words=False) for v in panel.arms]
+        long = any(len(line) > room for words in lines for line in words)
+        labels = [drawn("\n".join(words)) for words in lines]
         axes.set_xticks(ticks, labels, rotation=20 if long else 0,
                         ha="right" if long else "center")  # fmt: skip
         _rates(axes)

@@ -1,5 +1,6 @@
 """Figures of many runs show the numbers of their arms."""
 
+import pytest
 from made_runs import BY_FIELD, arms_of, make_studies
 from matplotlib.colors import to_hex
 
@@ -24,3 +25,17 @@ def test_bars_and_curves_show_the_rates(tmp_path):
     (legend,) = figure.legends
     assert figure.bbox.x0 <= legend.get_window_extent().x0
     assert legend.get_window_extent().x1 <= figure.bbox.x1
+
+
+@pytest.mark.parametrize("long", ["about the table there", "eef_delta_componentwise"])
+def test_names_of_neighbours_do_not_touch(tmp_path, long):
+    make_studies(tmp_path)
+    (scene,) = panels(BY_FIELD["scene"], arms_of(tmp_path))
+    figure = bars([scene], dict.fromkeys(("fixed", "randomized"), long))
+    figure.draw_without_rendering()
+    left, right = figure.axes[0].get_xticklabels()
+    rotated = {label.get_rotation() for label in (left, right)} == {20.0}
+    assert rotated == ("_" in long)
+    if not rotated:
+        assert left.get_text().split() == long.split()
+        assert left.get_window_extent().x1 < right.get_window_extent().x0
