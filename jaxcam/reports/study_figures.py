@@ -25,6 +25,7 @@ from jaxcam.reports.style import (
     GREY,
     INK,
     RATE,
+    band,
     beside,
     interval,
     legend_below,
@@ -180,10 +181,7 @@ def panel_grid(count: int, size: tuple[float, float]) -> tuple[Figure, list[Axes
 def _curve(axes: Axes, arms: Mapping[Any, Arm]) -> None:
     """Success of arms of one conditioning by a number, with intervals."""
     colour = colour_of(next(iter(arms.values())))
-    estimates = [arm.estimate for arm in arms.values()]
-    axes.plot([*arms], [e.value for e in estimates], color=colour)
-    low, high = [e.low for e in estimates], [e.high for e in estimates]
-    axes.fill_between([*arms], low, high, color=colour, alpha=0.15, linewidth=0)
+    band(axes, [*arms], [arm.estimate for arm in arms.values()], color=colour)
     for x, arm in arms.items():
         face = "white" if arm.lacks else colour
         axes.plot(x, arm.estimate.value, "o", color=colour, markerfacecolor=face)

@@ -1,5 +1,6 @@
 """The look of all figures: one style, no pyplot, colours safe for colour blindness."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,11 +14,13 @@ from matplotlib.ticker import FuncFormatter
 
 from jaxcam.files.whole import whole
 from jaxcam.reports.names import drawn
+from jaxcam.results.stats import Estimate
 
 BLUE, VERMILION, INK, GREY, FAINT = (
     "#0072B2", "#D55E00", "#22262B", "#7A828C", "#E3E6EA",
 )  # fmt: skip
 RATE = LinearSegmentedColormap.from_list("rate", [VERMILION, "#F6EFE6", BLUE])
+_MARKERS = "os^Dv*P"
 STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9.5,
@@ -40,6 +43,7 @@ STYLE: dict[Any, Any] = {
     "xtick.labelcolor": INK,
     "ytick.labelcolor": INK,
     "legend.frameon": False,
+    "legend.handlelength": 3.2,
     "lines.linewidth": 1.8,
     "svg.fonttype": "none",
     "figure.facecolor": "white",
@@ -85,6 +89,38 @@ def legend_below(figure: Figure, handles: Mapping[str, Artist]) -> None:
         if columns == 1 or legend.get_window_extent().width <= figure.bbox.width:
             return
         legend.remove()
+
+
+def distinct(looks: Mapping[str, tuple[str, str]]) -> dict[str, dict[str, Any]]:
+    """How curves are drawn: those that would look alike have markers of their own.
+
+    Args:
+        looks: Colour and dashes of each curve, by its name.
+
+    Returns:
+        What `band`, and a line in a legend, take of each.
+    """
+    alike: Counter[tuple[str, str]] = Counter()
+    drawn_as = {}
+    for name, look in looks.items():
+        marker = _MARKERS[alike[look] % len(_MARKERS)]
+        drawn_as[name] = {"color": look[0], "linestyle": look[1], "marker": marker}
+        alike[look] += 1
+    return drawn_as
+
+
+def band(axes: Axes, x: Sequence[float], estimates: Sequence[Estimate], **look: Any) -> None:
+    """Success over a number as a curve, and its intervals as a band.
+
+    Args:
+        axes: Where.
+        x: The numbers.
+        estimates: Success at each.
+        **look: Colour, and whatever else `Axes.plot` takes.
+    """
+    axes.plot(x, [e.value for e in estimates], **look)
+    low, high = [e.low for e in estimates], [e.high for e in estimates]
+    axes.fill_between(x, low, high, color=look["color"], alpha=0.13, linewidth=0)
 
 
 def small_print(axes: Axes, text: str) -> None:

@@ -6,7 +6,7 @@ import sys
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from jaxcam.reports.style import legend_below
+from jaxcam.reports.style import distinct, legend_below
 
 
 def test_figures_need_no_pyplot_and_change_no_settings():
@@ -31,3 +31,12 @@ def test_a_legend_is_never_wider_than_its_figure():
     (legend,) = figure.legends
     assert legend.get_window_extent().width <= figure.bbox.width
     assert [text.get_text() for text in legend.get_texts()] == [*names]
+
+
+def test_curves_that_would_look_alike_have_markers_of_their_own():
+    """Three policies trained with errors were three lines of one green dash in the legend."""
+    looks = {"a": ("green", "--"), "b": ("green", "-"), "c": ("green", "--"), "d": ("blue", "--")}
+    drawn = distinct(looks)
+    assert {name: (x["color"], x["linestyle"]) for name, x in drawn.items()} == looks
+    assert [drawn[name]["marker"] for name in "abd"] == ["o"] * 3
+    assert drawn["c"]["marker"] != "o"

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -17,7 +16,7 @@ from jaxcam.reports.arms import Arm, context
 from jaxcam.reports.document import Block, Heading, Picture, Table
 from jaxcam.reports.names import drawn
 from jaxcam.reports.study_figures import colour_of, panel_grid
-from jaxcam.reports.style import FAINT, legend_below, percent, save, styled
+from jaxcam.reports.style import FAINT, band, distinct, legend_below, percent, save, styled
 from jaxcam.reports.tables import by_task
 from jaxcam.results.rows import Row
 from jaxcam.results.stats import Estimate, gap_between, success_rate
@@ -149,30 +148,19 @@ def over_fovy(panels: Sequence[Sequence[FovyCurve]]) -> Figure:
         panels: From `fovy_curves`.
     """
     figure, grid = panel_grid(len(panels), (4.8, 3.6))
+    looks = distinct({c.name: (colour_of(c.arm), _style(c)) for some in panels for c in some})
     for axes, panel in zip(grid, panels, strict=True):
         for trained in {curve.trained for curve in panel}:
             axes.axvspan(*trained, color=FAINT, zorder=0)
         for curve in panel:
-            _draw(axes, curve)
+            middles, estimates = zip(*curve.bins(), strict=True)
+            band(axes, middles, estimates, **looks[curve.name])
         s = panel[0].arm.settings
         axes.set_title(drawn(f"{paper.task_title(s['task'])}, {paper.policy_title(s['policy'])}"))
         axes.set(ylim=(0, 1), xlabel="vertical field of view (degrees)")
         axes.yaxis.set_major_formatter(percent())
-    handles = {
-        curve.name: Line2D([], [], color=colour_of(curve.arm), linestyle=_style(curve))
-        for panel in panels
-        for curve in panel
-    }
-    legend_below(figure, handles)
+    legend_below(figure, {name: Line2D([], [], **look) for name, look in looks.items()})
     return figure
-
-
-def _draw(axes: Axes, curve: FovyCurve) -> None:
-    bins, colour = curve.bins(), colour_of(curve.arm)
-    x = [middle for middle, _ in bins]
-    axes.plot(x, [e.value for _, e in bins], _style(curve), color=colour, marker="o")
-    low, high = [e.low for _, e in bins], [e.high for _, e in bins]
-    axes.fill_between(x, low, high, color=colour, alpha=0.13, linewidth=0)
 
 
 def _style(curve: FovyCurve) -> Literal["--", "-"]:

@@ -15,7 +15,17 @@ from jaxcam.reports.arms import Arm, ImageOnlyArms, context
 from jaxcam.reports.document import Block, Heading, Picture, Table
 from jaxcam.reports.names import drawn
 from jaxcam.reports.study_figures import colour_of, panel_grid
-from jaxcam.reports.style import GREY, INK, RATE, legend_below, percent, save, styled
+from jaxcam.reports.style import (
+    GREY,
+    INK,
+    RATE,
+    band,
+    distinct,
+    legend_below,
+    percent,
+    save,
+    styled,
+)
 from jaxcam.reports.tables import NONE, by_task
 from jaxcam.results.halving import halving_error
 
@@ -155,6 +165,7 @@ def over_errors(curves: Sequence[ErrorCurve]) -> Figure:
     for curve in curves:
         s = curve.clean.settings
         lines.setdefault((paper.task_title(s["task"]), s["policy"]), []).append(curve)
+    looks = distinct({c.name: (colour_of(c.clean), _style(c)) for c in curves})
     axes_of = [axis for axis in _AXES if any(len(c.along(axis)) > 1 for c in curves)]
     size = (3.8 * len(axes_of), 0.6 + 3.1 * len(lines))
     figure = Figure(figsize=size, layout="constrained")
@@ -162,28 +173,22 @@ def over_errors(curves: Sequence[ErrorCurve]) -> Figure:
     for row, ((task, policy), some) in zip(grid, lines.items(), strict=True):
         for axes, axis in zip(row, axes_of, strict=True):
             for curve in some:
-                _line(axes, curve, axis)
+                _line(axes, curve, axis, looks[curve.name])
             axes.set(ylim=(0, 1), xlabel=_AXES[axis])
             axes.yaxis.set_major_formatter(percent())
         row[0].set_title(drawn(f"{task}, {paper.policy_title(policy)}"))
-    handles = {
-        curve.name: Line2D([], [], color=colour_of(curve.clean), linestyle=_style(curve))
-        for curve in curves
-    }
+    handles = {name: Line2D([], [], **look) for name, look in looks.items()}
     if any(curve.image_only for curve in curves):
         handles["image only"] = Line2D([], [], color=GREY, linestyle=":")
     legend_below(figure, handles)
     return figure
 
 
-def _line(axes: Axes, curve: ErrorCurve, axis: str) -> None:
+def _line(axes: Axes, curve: ErrorCurve, axis: str, look: Mapping[str, Any]) -> None:
     along = curve.along(axis)
     if len(along) < 2:
         return
-    colour, estimates = colour_of(curve.clean), [arm.estimate for arm in along.values()]
-    axes.plot([*along], [e.value for e in estimates], _style(curve), color=colour, marker="o")
-    low, high = [e.low for e in estimates], [e.high for e in estimates]
-    axes.fill_between([*along], low, high, color=colour, alpha=0.13, linewidth=0)
+    band(axes, [*along], [arm.estimate for arm in along.values()], **look)
     if curve.image_only:
         e = curve.image_only.estimate
         axes.axhline(e.value, color=GREY, linestyle=":")

@@ -14,7 +14,7 @@ from jaxcam.reports.arms import Arm, context
 from jaxcam.reports.document import Block, Heading, Picture, Table
 from jaxcam.reports.names import drawn
 from jaxcam.reports.study_figures import panel_grid
-from jaxcam.reports.style import percent, save, styled
+from jaxcam.reports.style import band, percent, save, styled
 from jaxcam.reports.tables import by_task
 from jaxcam.results.scaling import Counts, ScalingLaw, scaling_law
 
@@ -120,8 +120,6 @@ def over_cameras(shown: Sequence[ScalingSurface]) -> Figure:
 def _draw(axes: Axes, surface: ScalingSurface, demos: float, colour: tuple[float, ...]) -> None:
     arms = {n: arm for (n, count), arm in surface.arms.items() if count == demos}
     estimates = [arm.estimate for arm in arms.values()]
-    low, high = [e.low for e in estimates], [e.high for e in estimates]
-    axes.plot([*arms], [e.value for e in estimates], "o", color=colour, label=f"{demos:g}")
-    axes.fill_between([*arms], low, high, color=colour, alpha=0.13, linewidth=0)
+    band(axes, [*arms], estimates, color=colour, linestyle="", marker="o", label=f"{demos:g}")
     cameras = np.geomspace(min(arms), max(arms), 60)
     axes.plot(cameras, surface.law.at(cameras, demos), "--", color=colour)

@@ -4,7 +4,7 @@ import pytest
 from made_runs import arms_of, make_run
 from run_rows import evaluation
 
-from jaxcam.reports.axes.pose_errors import error_curves, pose_error_blocks
+from jaxcam.reports.axes.pose_errors import error_curves, over_errors, pose_error_blocks
 from jaxcam.reports.comparison import write_comparison
 from jaxcam.reports.document import Table
 from jaxcam.reports.reading import read_runs
@@ -56,6 +56,20 @@ def test_the_report_draws_them_and_says_what_halves_the_gain(runs, tmp_path):
     assert (again.parent / "report.csv").read_text("utf-8") == (
         page.parent / "report.csv"
     ).read_text("utf-8")
+
+
+def test_policies_that_differ_in_what_their_errors_are_drawn_for_are_told_apart(tmp_path):
+    levels = {"1,1": 0.7, "2,2": 0.4}
+    for per in ("sample", "episode"):
+        rows = [r for at, rate in levels.items() for r in told_wrong(per, rate, eval_pose_noise=at)]
+        trained = {"conditioning": "late", "pose_noise": "1,1", "pose_noise_per": per}
+        make_run(tmp_path / per, rate=0.8, pairs=PAIRS, rows=rows, **trained)
+    figure = over_errors(error_curves(arms_of(tmp_path)))
+    (legend,) = figure.legends
+    handles = legend.legend_handles
+    assert len({(h.get_linestyle(), h.get_marker(), h.get_color()) for h in handles}) == 2
+    axes = figure.axes[-1]
+    assert {h.get_marker() for h in handles} == {line.get_marker() for line in axes.lines}
 
 
 def test_without_such_rows_nothing_is_said(tmp_path):
