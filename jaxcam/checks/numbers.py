@@ -148,7 +148,8 @@ def _longest(vectors: np.ndarray) -> float:
 
 def check_errors(episodes: Sequence[Demo | Episode]) -> Finding:
     """How many commands err on purpose."""
-    some_errors = [demo.errors.sum() for demo in episodes if demo.errors is not None]
+    each = [demo.errors.sum() for demo in episodes if demo.errors is not None]
+    some_errors = [count for count in each if count]
     share = sum(some_errors) / sum(demo.length for demo in episodes)
     got = f"{share:.1%} of the actions, in {len(some_errors)} demonstrations: not taught"
     return good("errors on purpose", got=got if some_errors else "none")

@@ -98,6 +98,7 @@ def test_jumps_of_rotations_are_found(copy, first, last, mark, words):
 
 def test_errors_on_purpose_are_counted(demos):
     assert check_errors(demos.episodes).got == "none"
+    assert check_errors([with_errors(demos.train[0], 0, 0)]).got == "none"
     half = with_errors(demos.train[0], 0, demos.train[0].length // 2)
     finding = check_errors([half, demos.train[0]])
     assert finding.mark == "good"
