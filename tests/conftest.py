@@ -11,6 +11,7 @@ import shutil
 import sys
 import tempfile
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -23,6 +24,10 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     atexit.register(shutil.rmtree, compiled, ignore_errors=True)
     os.environ["JAX_COMPILATION_CACHE_DIR"] = compiled
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
+if tuple(map(int, version("jaxlib").split(".")[:2])) < (0, 12):
+    # Tests compile far longer than they run, half of it for this; newer ones have no such flag.
+    emitters = "--xla_cpu_use_fusion_emitters=false"
+    os.environ["XLA_FLAGS"] = f"{emitters} {os.environ.get('XLA_FLAGS', '')}"
 TINY = {"demos": 4, "validation": 2}
 """Settings of the session's dataset."""
 PIXELS = 24

@@ -121,15 +121,27 @@ def pure(
         ``init(key)``, which draws parameters as nested dicts with string keys, and
         ``network(params)``, which puts them back into the module.
     """
-    graphdef, _ = nnx.split(nnx.eval_shape(lambda: build(nnx.Rngs(0))))
+    graphdef, _ = nnx.split(nnx.eval_shape(lambda: build(_streams(0))))
 
     def init(key: jax.Array) -> Params:
-        return _string_keys(nnx.to_pure_dict(nnx.split(build(nnx.Rngs(key)))[1]))
+        return _string_keys(nnx.to_pure_dict(nnx.split(build(_streams(key)))[1]))
 
     def network(params: Params) -> M:
         return nnx.merge(graphdef, nnx.restore_int_paths(params))
 
     return init, network
+
+
+def _streams(key: jax.Array | int) -> nnx.Rngs:
+    """Keys that are counted outside of what is traced.
+
+    Setting a counter that is traced asks for its sharding each time, which JAX answers with an
+    error and a search for the tracer's origin: half of the time that tracing a module took.
+    """
+    rngs = nnx.Rngs(key)
+    count: Any = rngs.default.count  # whose own type knows arrays of JAX alone
+    count.set_raw_value(np.zeros((), np.uint32))
+    return rngs
 
 
 def _string_keys(tree: Any) -> Any:

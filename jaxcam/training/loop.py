@@ -22,6 +22,9 @@ from jaxcam.training.side import make_side
 from jaxcam.training.side_by_side import SeedRun, SideBySide, batches
 from jaxcam.training.state import TrainState, check_finite, init_state, make_optimizer
 
+QUICKLY = {"xla_backend_optimization_level": 0}
+"""For a program that runs once: XLA's compiler takes a quarter of its time."""
+
 
 class Trainer:
     """Trains runs that share everything but their seed.
@@ -114,7 +117,9 @@ class Trainer:
             data=self.dataset.fingerprint,
         )
         records = stack.enter_context(Records(run, config, side))
-        init = load_after(policy.init, weights, config.stem == "new") if weights else policy.init
+        init = jax.jit(policy.init, compiler_options=QUICKLY)
+        if weights:
+            init = load_after(init, weights, config.stem == "new")
         fresh = init_state(init, self._tx, jax.random.key(config.seed), ema=config.ema > 0)
         return SeedRun(config.seed, records, from_first(records.restore(fresh)))
 
