@@ -132,15 +132,23 @@ def pure(
     return init, network
 
 
-def _streams(key: jax.Array | int) -> nnx.Rngs:
-    """Keys that are counted outside of what is traced.
+class _Stream(nnx.RngStream):
+    """Flax's keys, counted by Python.
 
-    Setting a counter that is traced asks for its sharding each time, which JAX answers with an
-    error and a search for the tracer's origin: half of the time that tracing a module took.
+    A counter that is traced is asked for its sharding each time that it is set, which JAX answers
+    with an error and a search for its origin: half of the time that tracing a module took.
     """
-    rngs = nnx.Rngs(key)
-    count: Any = rngs.default.count  # whose own type knows arrays of JAX alone
-    count.set_raw_value(np.zeros((), np.uint32))
+
+    drawn: int = 0
+
+    def __call__(self) -> jax.Array:
+        self.drawn += 1
+        return jax.random.fold_in(self.key[...], self.drawn - 1)
+
+
+def _streams(key: jax.Array | int) -> nnx.Rngs:
+    rngs: Any = nnx.Rngs(key)
+    rngs.default = _Stream(rngs.default.key[...], tag="default")
     return rngs
 
 
