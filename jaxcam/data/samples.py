@@ -115,12 +115,16 @@ class Samples:
         counts = taken.sum(1)
         return np.nonzero(taken)[1], counts, np.cumsum(counts) - counts
 
+    def spread(self, demo: int, count: int) -> np.ndarray:
+        """Evenly spaced steps of a demonstration, of those that do not err."""
+        steps, counts, first = self._steps
+        return steps[first[demo] + np.linspace(0, counts[demo] - 1, count).astype(int)]
+
     def validation(self, views: int, per_demo: int = 16) -> Sample:
         """Evenly spaced steps of every validation demonstration."""
-        steps, counts, first = self._steps
-        held_out = np.arange(self.train, len(counts))
-        place = [first[d] + np.linspace(0, counts[d] - 1, per_demo).astype(int) for d in held_out]
-        demos, t = held_out.repeat(per_demo), steps[np.concatenate(place)]
+        held_out = range(self.train, len(self.layout.lengths))
+        t = np.concatenate([self.spread(demo, per_demo) for demo in held_out])
+        demos = np.repeat(held_out, per_demo)
         return demos, t, np.arange(views) % self.layout.cameras[demos, None]
 
     def check_views(self, views: int) -> None:

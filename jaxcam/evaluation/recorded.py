@@ -19,7 +19,7 @@ from jaxcam.rays import perturb
 from jaxcam.results.actions import ActionErrors
 
 PER_EPISODE = 16
-"""Steps of each episode that the policy is asked at."""
+"""Steps of each episode that the policy is asked at, none that errs on purpose."""
 POSE_ERRORS = ((0.0, 0.0), (5.0, 0.05))
 """Degrees and metres by which the poses that it is told are wrong."""
 
@@ -66,7 +66,7 @@ def _errors_of(
 ) -> np.ndarray:
     """Mean absolute errors on one episode [T, A], NaN where it ends before all chunks reach."""
     spec = policy.spec
-    t = np.linspace(0, dataset.lengths[demo] - 1, PER_EPISODE).astype(int)
+    t = dataset.samples.spread(demo, PER_EPISODE)
     views = np.broadcast_to(np.arange(spec.views), (PER_EPISODE, spec.views))
     batch = dict(dataset.batch(np.full(PER_EPISODE, demo), t, views, spec.chunk, spec.obs_steps))
     if any(pose_error):

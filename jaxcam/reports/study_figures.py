@@ -46,6 +46,8 @@ _OTHER = "#D55E00"
 _COLUMNS = 3
 _LETTERS = 5
 """Letters that find room under a bar."""
+_TURNED = 26
+"""Letters of a label that is turned."""
 
 
 def colour_of(arm: Arm) -> str:
@@ -82,12 +84,20 @@ def bars(shown: Sequence[Panel], names: Mapping[Any, str]) -> Figure:
         room = int(_LETTERS * min(np.diff(ticks), default=place))
         lines = [textwrap.wrap(names[v], room, break_long_words=False) for v in panel.arms]
         long = any(len(line) > room for words in lines for line in words)
+        if long:
+            lines = [[_short(names[v])] for v in panel.arms]
+            figure.set_figheight(4.0)
         labels = [drawn("\n".join(words)) for words in lines]
         axes.set_xticks(ticks, labels, rotation=20 if long else 0,
                         ha="right" if long else "center")  # fmt: skip
         _rates(axes)
     _legend(figure, arms_of(shown), Patch)
     return figure
+
+
+def _short(name: str) -> str:
+    """A name of at most as many letters as a turned label has room for."""
+    return name if len(name) <= _TURNED else f"{name[: _TURNED - 12]}…{name[-11:]}"
 
 
 @styled

@@ -86,9 +86,27 @@ def legend_below(figure: Figure, handles: Mapping[str, Artist]) -> None:
     for columns in range(len(handles), 0, -1):
         legend = figure.legend([*handles.values()], [drawn(name) for name in handles],
                                loc="outside lower center", ncols=columns)  # fmt: skip
-        if columns == 1 or legend.get_window_extent().width <= figure.bbox.width:
+        size = legend.get_window_extent()
+        if columns == 1 or size.width <= figure.bbox.width:
+            # What is more than a quarter of the figure comes on top of it.
+            more = max(0.0, size.height - figure.bbox.height / 4)
+            figure.set_figheight(figure.get_figheight() + more / figure.dpi)
             return
         legend.remove()
+
+
+def tell_apart(names: Sequence[str], more: Sequence[str]) -> list[str]:
+    """Names of the curves of a panel: those that are not the only ones have more said of them.
+
+    Args:
+        names: Of the curves.
+        more: What else there is to say of each.
+    """
+    many = Counter(names)
+    return [
+        f"{name}, {words}" if many[name] > 1 and words else name
+        for name, words in zip(names, more, strict=True)
+    ]
 
 
 def distinct(looks: Mapping[str, tuple[str, str]]) -> dict[str, dict[str, Any]]:
@@ -103,8 +121,10 @@ def distinct(looks: Mapping[str, tuple[str, str]]) -> dict[str, dict[str, Any]]:
     alike: Counter[tuple[str, str]] = Counter()
     drawn_as = {}
     for name, look in looks.items():
-        marker = _MARKERS[alike[look] % len(_MARKERS)]
-        drawn_as[name] = {"color": look[0], "linestyle": look[1], "marker": marker}
+        round_, marker = divmod(alike[look], len(_MARKERS))
+        drawn_as[name] = {"color": look[0], "linestyle": look[1], "marker": _MARKERS[marker]}
+        if round_:  # open ones
+            drawn_as[name]["markerfacecolor"] = "white"
         alike[look] += 1
     return drawn_as
 

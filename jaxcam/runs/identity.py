@@ -261,7 +261,7 @@ def identity(config: TrainConfig) -> Settings:
 
 def said(settings: Settings) -> Settings:
     """Those of a run's settings that are said where they are; the others are `UNSAID`."""
-    return {k: v for k, v in settings.items() if k not in UNSAID or v != UNSAID[k]}
+    return {k: v for k, v in settings.items() if k not in UNSAID or v not in (None, UNSAID[k])}
 
 
 def changes(settings: Settings) -> Settings:

@@ -1,5 +1,7 @@
 """Errors of actions on recorded episodes: what they measure, and what moves them."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import pytest
@@ -27,15 +29,17 @@ def spec(chunk, obs_steps=1):
     return PolicySpec(5, 5, 2, *SIZE, chunk=chunk, obs_steps=obs_steps)
 
 
-def test_errors_by_hand(learned_from):
+def says_half(params, obs, key):
     """A policy that says 0.5: its errors are the distances of the actions from that."""
+    return np.full((len(obs["proprio"]), 3, 5), 0.5)
+
+
+HALF = Policy(lambda key: {}, lambda *_: None, says_half, None, spec(3), 3)
+
+
+def test_errors_by_hand(learned_from):
     recording, parts, data = learned_from
-
-    def act(params, obs, key):
-        return np.full((len(obs["proprio"]), 3, 5), 0.5)
-
-    policy = Policy(lambda key: {}, lambda *_: None, act, None, spec(3), 3)
-    rows = action_errors(policy, {}, data, parts, recording.action_names, 7)
+    rows = action_errors(HALF, {}, data, parts, recording.action_names, 7)
     assert [(r.step, r.group, r.rotation_deg) for r in rows] == [
         (7, "new episodes", 0.0), (7, "new episodes", 5.0),
     ]  # fmt: skip
@@ -48,6 +52,19 @@ def test_errors_by_hand(learned_from):
             np.testing.assert_allclose(rows[0].errors[number, ahead], expected, rtol=1e-5)
     training = np.concatenate([recording.episodes[i].action for i in (0, 3)])
     np.testing.assert_allclose(rows[0].scale, training.std(0), rtol=1e-4)
+
+
+def test_nobody_is_asked_where_the_demonstration_errs(learned_from):
+    """What follows an error nobody can foresee, and of a good step alone there is a number."""
+    recording, parts, data = learned_from
+    errors = np.zeros(data.actions.shape[:2], bool)
+    errors[3] = True
+    errors[3, 3] = False
+    rows = action_errors(HALF, {}, replace(data, errors=errors), parts, recording.action_names, 7)
+    expected = np.abs(data.actions[3, 3] - 0.5)
+    np.testing.assert_allclose(rows[0].errors[1, 0], expected, rtol=1e-5)
+    assert np.isnan(rows[0].errors[1, 1:]).all()
+    assert np.isfinite(rows[0].mean()[0])
 
 
 @pytest.mark.parametrize(

@@ -36,6 +36,19 @@ def test_names_of_neighbours_do_not_touch(tmp_path, long):
     left, right = figure.axes[0].get_xticklabels()
     rotated = {label.get_rotation() for label in (left, right)} == {20.0}
     assert rotated == ("_" in long)
-    if not rotated:
+    if rotated:
+        assert left.get_text() == long
+    else:
         assert left.get_text().split() == long.split()
         assert left.get_window_extent().x1 < right.get_window_extent().x0
+
+
+def test_a_name_without_spaces_leaves_the_bars_their_room(tmp_path):
+    make_studies(tmp_path)
+    (scene,) = panels(BY_FIELD["scene"], arms_of(tmp_path))
+    long = "act_lift_randomized_keypoints_step6000_ema_2026-12-01"
+    figure = bars([scene], {"fixed": long, "randomized": "fixed " * 12})
+    figure.draw_without_rendering()
+    axes = figure.axes[0]
+    assert axes.get_window_extent().height > 1.6 * figure.dpi
+    assert all(label.get_window_extent().x0 > 0 for label in axes.get_xticklabels())

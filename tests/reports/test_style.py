@@ -6,7 +6,7 @@ import sys
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from jaxcam.reports.style import distinct, legend_below
+from jaxcam.reports.style import distinct, legend_below, tell_apart
 
 
 def test_figures_need_no_pyplot_and_change_no_settings():
@@ -40,3 +40,26 @@ def test_curves_that_would_look_alike_have_markers_of_their_own():
     assert {name: (x["color"], x["linestyle"]) for name, x in drawn.items()} == looks
     assert [drawn[name]["marker"] for name in "abd"] == ["o"] * 3
     assert drawn["c"]["marker"] != "o"
+
+
+def test_many_curves_that_would_look_alike_are_drawn_unlike():
+    drawn = distinct({str(i): ("green", "--") for i in range(12)})
+    looks = {(x["marker"], x.get("markerfacecolor")) for x in drawn.values()}
+    assert len(looks) == 12
+
+
+def test_a_high_legend_leaves_the_panel_its_room():
+    figure = Figure(figsize=(4.8, 3.6), layout="constrained")
+    axes = figure.subplots()
+    legend_below(figure, {f"a policy with a long name, trained with {i}": Line2D([], [])
+                          for i in range(30)})  # fmt: skip
+    figure.draw_without_rendering()
+    (legend,) = figure.legends
+    assert axes.get_window_extent().height > 2 * figure.dpi
+    assert legend.get_window_extent().y1 < axes.get_window_extent().y0
+
+
+def test_names_of_several_curves_have_more_said_of_them():
+    assert tell_apart(["late", "keypoints", "late"], ["x", "y", "z"]) == [
+        "late, x", "keypoints", "late, z",
+    ]  # fmt: skip

@@ -188,11 +188,17 @@ def _errors(rows: EpisodeRows) -> np.ndarray | None:
     """Which actions err on purpose, bool [T]; None if none does."""
     if ERRORS not in rows.columns:
         return None
-    err = rows.columns[ERRORS][:, 0].astype(bool)
+    values, where = rows.columns[ERRORS], f"{rows.place.table}, {rows.place.name}"
+    if values.shape[1] != 1 or not np.isin(values, (0, 1)).all():
+        raise DatasetError(
+            f"{where}: '{ERRORS}' is a column of {values.shape[1]} number(s) a step between "
+            f"{values.min()} and {values.max()}, expected true or false, as meta/info.json says."
+        )
+    err = values[:, 0].astype(bool)
     if err.all():
         raise DatasetError(
-            f"{rows.place.table}, {rows.place.name}: all {len(err)} steps are '{ERRORS}', so "
-            "nothing is left to imitate. Leave the episode out."
+            f"{where}: all {len(err)} steps are '{ERRORS}', so nothing is left to imitate. Leave "
+            "the episode out."
         )
     return err if err.any() else None
 

@@ -16,7 +16,16 @@ from jaxcam.reports.arms import Arm, context
 from jaxcam.reports.document import Block, Heading, Picture, Table
 from jaxcam.reports.names import drawn
 from jaxcam.reports.study_figures import colour_of, panel_grid
-from jaxcam.reports.style import FAINT, band, distinct, legend_below, percent, save, styled
+from jaxcam.reports.style import (
+    FAINT,
+    band,
+    distinct,
+    legend_below,
+    percent,
+    save,
+    styled,
+    tell_apart,
+)
 from jaxcam.reports.tables import by_task
 from jaxcam.results.rows import Row
 from jaxcam.results.stats import Estimate, gap_between, success_rate
@@ -148,13 +157,19 @@ def over_fovy(panels: Sequence[Sequence[FovyCurve]]) -> Figure:
         panels: From `fovy_curves`.
     """
     figure, grid = panel_grid(len(panels), (4.8, 3.6))
-    looks = distinct({c.name: (colour_of(c.arm), _style(c)) for some in panels for c in some})
-    for axes, panel in zip(grid, panels, strict=True):
+    names = [tell_apart([c.name for c in some], [c.arm.label("rays_from") for c in some])
+             for some in panels]  # fmt: skip
+    looks = distinct({
+        name: (colour_of(curve.arm), _style(curve))
+        for own, some in zip(names, panels, strict=True)
+        for name, curve in zip(own, some, strict=True)
+    })  # fmt: skip
+    for axes, own, panel in zip(grid, names, panels, strict=True):
         for trained in {curve.trained for curve in panel}:
             axes.axvspan(*trained, color=FAINT, zorder=0)
-        for curve in panel:
+        for name, curve in zip(own, panel, strict=True):
             middles, estimates = zip(*curve.bins(), strict=True)
-            band(axes, middles, estimates, **looks[curve.name])
+            band(axes, middles, estimates, **looks[name])
         s = panel[0].arm.settings
         axes.set_title(drawn(f"{paper.task_title(s['task'])}, {paper.policy_title(s['policy'])}"))
         axes.set(ylim=(0, 1), xlabel="vertical field of view (degrees)")

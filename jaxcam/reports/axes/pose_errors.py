@@ -25,6 +25,7 @@ from jaxcam.reports.style import (
     percent,
     save,
     styled,
+    tell_apart,
 )
 from jaxcam.reports.tables import NONE, by_task
 from jaxcam.results.halving import halving_error
@@ -154,6 +155,11 @@ def _halves(curve: ErrorCurve, axis: str) -> str:
     return str(halving_error(levels, curve.image_only.rows))
 
 
+def _names(curves: Sequence[ErrorCurve]) -> list[str]:
+    more = [c.clean.label("pose_noise", "pose_noise_per", "conditioning") for c in curves]
+    return tell_apart([c.name for c in curves], more)
+
+
 @styled
 def over_errors(curves: Sequence[ErrorCurve]) -> Figure:
     """Success over the error: a column for each axis, a row for each task and policy.
@@ -165,18 +171,23 @@ def over_errors(curves: Sequence[ErrorCurve]) -> Figure:
     for curve in curves:
         s = curve.clean.settings
         lines.setdefault((paper.task_title(s["task"]), s["policy"]), []).append(curve)
-    looks = distinct({c.name: (colour_of(c.clean), _style(c)) for c in curves})
+    names = {line: _names(some) for line, some in lines.items()}
+    looks = distinct({
+        name: (colour_of(curve.clean), _style(curve))
+        for line, some in lines.items()
+        for name, curve in zip(names[line], some, strict=True)
+    })  # fmt: skip
     axes_of = [axis for axis in _AXES if any(len(c.along(axis)) > 1 for c in curves)]
     size = (3.8 * len(axes_of), 0.6 + 3.1 * len(lines))
     figure = Figure(figsize=size, layout="constrained")
     grid = figure.subplots(len(lines), len(axes_of), squeeze=False, sharey=True)
-    for row, ((task, policy), some) in zip(grid, lines.items(), strict=True):
+    for row, (line, some) in zip(grid, lines.items(), strict=True):
         for axes, axis in zip(row, axes_of, strict=True):
-            for curve in some:
-                _line(axes, curve, axis, looks[curve.name])
+            for name, curve in zip(names[line], some, strict=True):
+                _line(axes, curve, axis, looks[name])
             axes.set(ylim=(0, 1), xlabel=_AXES[axis])
             axes.yaxis.set_major_formatter(percent())
-        row[0].set_title(drawn(f"{task}, {paper.policy_title(policy)}"))
+        row[0].set_title(drawn(f"{line[0]}, {paper.policy_title(line[1])}"))
     handles = {name: Line2D([], [], **look) for name, look in looks.items()}
     if any(curve.image_only for curve in curves):
         handles["image only"] = Line2D([], [], color=GREY, linestyle=":")

@@ -29,6 +29,7 @@ def _kinds(annotation: Any) -> set[type]:
 
 
 _KNOWN = {field.name: _kinds(field.type) for field in dataclasses.fields(TrainConfig)}
+_SEVERAL = {f.name for f in dataclasses.fields(TrainConfig) if isinstance(f.default, tuple)}
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,8 @@ def _record(where: str, entry: Any) -> RunRecord:
             raise DatasetError(f"{where}: {name} is {given.get(name)!r}, expected {expected}.")
     settings = dict(cast("Mapping[str, Any]", given["settings"]))
     if settings.get("preset") is not None:  # what was not trained here lacks nothing
-        settings = said(TrainConfig.completed(settings))
+        settings = TrainConfig.completed(settings)
+    settings = said(settings)
     settings |= {name: NOT_RECORDED for name in NAMED if name not in settings}
     for name, value in settings.items():
         if not _fits(name, value):
@@ -111,8 +113,9 @@ def _fits(name: str, value: Any) -> bool:
     if isinstance(value, list):
         several = cast("list[Any]", value)
         # A run that was evaluated in several ways has a list of them.
-        one = (lambda v: _fits(name, v)) if name in USUAL_WAY else (lambda v: isinstance(v, str))
-        return all(map(one, several))
+        if name not in _SEVERAL | set(USUAL_WAY):
+            return False
+        return all(isinstance(v, str | int | float) and _fits(name, v) for v in several)
     kinds = _KNOWN.get(name, {str, int, float})
     if value is None or isinstance(value, bool):
         return True

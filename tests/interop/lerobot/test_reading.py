@@ -178,6 +178,12 @@ def test_errors_that_are_none_or_of_somebody_else(originals, copied):
         assert recording.fingerprint == usual
 
 
+@pytest.mark.parametrize("value", [[True, False], 0.5, float("nan"), 3])
+def test_errors_that_are_not_what_was_declared_are_refused(copied, value):
+    with pytest.raises(DatasetError, match=r"episode 0: 'errors' is a column of [12] number"):
+        read_lerobot(with_errors(copied(), lambda step: value))
+
+
 def test_an_episode_of_errors_alone_is_refused(copied):
     with pytest.raises(DatasetError, match=r"episode 0: all .* steps are 'errors'.* Leave the ep"):
         read_lerobot(with_errors(copied(), lambda step: True))

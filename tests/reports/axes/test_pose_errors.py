@@ -72,6 +72,18 @@ def test_policies_that_differ_in_what_their_errors_are_drawn_for_are_told_apart(
     assert {h.get_marker() for h in handles} == {line.get_marker() for line in axes.lines}
 
 
+def test_policies_of_one_name_are_told_apart_by_the_rest(tmp_path):
+    """Two that were trained with the same errors, for 4000 and for 2000 updates, were one."""
+    for steps in (2000, 4000):
+        rows = told_wrong(str(steps), 0.5, eval_pose_noise="1,1")
+        trained = {"conditioning": "late", "pose_noise": "1,1", "steps": steps}
+        make_run(tmp_path / str(steps), rate=0.8, pairs=PAIRS, rows=rows, **trained)
+    (legend,) = over_errors(error_curves(arms_of(tmp_path))).legends
+    names = [text.get_text() for text in legend.get_texts()]
+    assert len(names) == 2
+    assert any("steps 4000" in name for name in names)
+
+
 def test_without_such_rows_nothing_is_said(tmp_path):
     make_run(tmp_path / "late", conditioning="late")
     assert pose_error_blocks(arms_of(tmp_path), tmp_path) == []

@@ -37,6 +37,8 @@ def test_results_from_before_a_setting_was_there_are_of_the_same_runs(file):
     settings = before.settings | {"color_jitter": 0.0, "action_frame": "base", "ray_frame": "base"}
     change(file, settings=settings)
     assert read_records(file)[0] == before
+    change(file, settings=settings | {"color_jitter": None})
+    assert read_records(file)[0] == before
     change(file, settings=settings | {"color_jitter": 0.3})
     assert read_records(file)[0].settings == before.settings | {"color_jitter": 0.3}
 
@@ -84,6 +86,24 @@ def test_an_odd_setting_is_refused_or_read(file, name, value):
     change(file, settings=settings | {name: value})
     record = read_or_refused(file)
     assert record is None or record.settings[name] == value
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "fits"),
+    [("pose_noise", ["1,1"], False), ("pose_noise", [], False), ("steps", ["5"], False),
+     ("model", ["width=16"], True), ("model", [16], False)],
+)  # fmt: skip
+def test_a_list_is_of_what_a_run_takes_several_of(file, name, value, fits):
+    settings = json.loads(file.read_text())[0]["settings"]
+    change(file, settings=settings | {name: value})
+    assert (read_or_refused(file) is not None) == fits
+
+
+def test_a_run_of_recorded_episodes_may_hold_out_some_by_number(file):
+    settings = json.loads(file.read_text())[0]["settings"]
+    held_out = {"cameras": "cameras", "hold_out_view": ["side"], "hold_out_episodes": [3, 5]}
+    change(file, settings=settings | {"task": "recorded"} | held_out)
+    assert read_records(file)[0].settings["hold_out_episodes"] == [3, 5]
 
 
 def test_rows_of_a_run_that_is_not_listed_are_refused(file):
