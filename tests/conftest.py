@@ -16,13 +16,16 @@ from pathlib import Path
 
 import pytest
 
-os.environ["JAXCAM_CACHE"] = tempfile.mkdtemp(prefix="jaxcam-tests-")
+if "PYTEST_XDIST_WORKER" not in os.environ:  # workers inherit it
+    session = tempfile.mkdtemp(prefix="jaxcam-tests-")
+    atexit.register(shutil.rmtree, session, ignore_errors=True)
+    os.environ["JAXCAM_TESTS"] = session
+session = Path(os.environ["JAXCAM_TESTS"])
+os.environ["JAXCAM_CACHE"] = str(session / os.environ.get("PYTEST_XDIST_WORKER", "cache"))
 """Tests neither see nor change how long jobs took on this machine."""
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-    # What one worker or command has compiled, the others of the session load. Workers inherit it.
-    compiled = tempfile.mkdtemp(prefix="jaxcam-compiled-")
-    atexit.register(shutil.rmtree, compiled, ignore_errors=True)
-    os.environ["JAX_COMPILATION_CACHE_DIR"] = compiled
+    # What one worker or command has compiled, the others of the session load.
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = str(session / "compiled")
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
 if tuple(map(int, version("jaxlib").split(".")[:2])) < (0, 12):
     # Tests compile far longer than they run, half of it for this; newer ones have no such flag.
