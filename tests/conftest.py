@@ -27,10 +27,12 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     # What one worker or command has compiled, the others of the session load.
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(session / "compiled")
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
+# Tests compile far longer than they run. Newer ones have no flag for the emitters.
+flags = ["--xla_backend_optimization_level=0", os.environ.get("XLA_FLAGS", "")]
 if tuple(map(int, version("jaxlib").split(".")[:2])) < (0, 12):
-    # Tests compile far longer than they run, half of it for this; newer ones have no such flag.
-    emitters = "--xla_cpu_use_fusion_emitters=false"
-    os.environ["XLA_FLAGS"] = f"{emitters} {os.environ.get('XLA_FLAGS', '')}"
+    flags.insert(0, "--xla_cpu_use_fusion_emitters=false")
+if "PYTEST_XDIST_WORKER" not in os.environ:
+    os.environ["XLA_FLAGS"] = " ".join(flags)
 TINY = {"demos": 4, "validation": 2}
 """Settings of the session's dataset."""
 PIXELS = 24

@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
-import jax
 import numpy as np
 import pytest
 import robots
+from policy_inputs import start
 
 from jaxcam.config.train import TrainConfig
 from jaxcam.data.recorded.parts import HeldOut, Meaning, make_recorded, parts_of
@@ -85,7 +85,7 @@ def test_wrong_poses_matter_only_to_who_is_told(learned_from, policy, conditioni
     config = TrainConfig(policy=policy, conditioning=conditioning, preset="laptop", model=model)
     network = policy_settings(resolve(config, accelerator=False), ("",))
     made = make_policy(network, spec(network.chunk, network.obs_steps), data.stats())
-    params = made.init(jax.random.key(0))
+    params = start(made)
     right, wrong = action_errors(made, params, data, parts, recording.action_names, 0)
     same = np.array_equal(right.errors, wrong.errors, equal_nan=True)
     assert same == (conditioning == "none")
