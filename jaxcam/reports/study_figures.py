@@ -70,6 +70,7 @@ def bars(shown: Sequence[Panel], names: Mapping[Any, str]) -> Figure:
     widest = max(sum(len(arms) for arms in panel.arms.values()) for panel in shown)
     width = max(1.1 + 0.42 * widest, 4.0 / len(shown))  # 4 inches hold the legend
     figure, grid = panel_grid(len(shown), (width, 3.4))
+    turned = False
     for axes, panel in zip(grid, shown, strict=True):
         place = 0.0
         ticks = []
@@ -86,11 +87,13 @@ def bars(shown: Sequence[Panel], names: Mapping[Any, str]) -> Figure:
         long = any(len(line) > room for words in lines for line in words)
         if long:
             lines = [[_short(names[v])] for v in panel.arms]
-            figure.set_figheight(4.0)
+            turned = True
         labels = [drawn("\n".join(words)) for words in lines]
         axes.set_xticks(ticks, labels, rotation=20 if long else 0,
                         ha="right" if long else "center")  # fmt: skip
         _rates(axes)
+    if turned:
+        figure.set_figheight(1.2 * figure.get_figheight())
     _legend(figure, arms_of(shown), Patch)
     return figure
 

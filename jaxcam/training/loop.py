@@ -23,7 +23,7 @@ from jaxcam.training.side_by_side import SeedRun, SideBySide, batches
 from jaxcam.training.state import TrainState, check_finite, init_state, make_optimizer
 
 QUICKLY = {"xla_backend_optimization_level": 0}
-"""For a program that runs once: XLA's compiler takes a quarter of its time."""
+"""For a program that runs once: XLA's compiler takes a third of its time."""
 
 
 class Trainer:

@@ -47,8 +47,9 @@ def test_a_name_without_spaces_leaves_the_bars_their_room(tmp_path):
     make_studies(tmp_path)
     (scene,) = panels(BY_FIELD["scene"], arms_of(tmp_path))
     long = "act_lift_randomized_keypoints_step6000_ema_2026-12-01"
-    figure = bars([scene], {"fixed": long, "randomized": "fixed " * 12})
-    figure.draw_without_rendering()
-    axes = figure.axes[0]
-    assert axes.get_window_extent().height > 1.6 * figure.dpi
-    assert all(label.get_window_extent().x0 > 0 for label in axes.get_xticklabels())
+    for rows in (1, 2):
+        figure = bars([scene] * (3 * rows), {"fixed": long, "randomized": "fixed " * 12})
+        figure.draw_without_rendering()
+        axes = figure.axes[0]
+        assert axes.get_window_extent().height > 1.6 * figure.dpi
+        assert all(label.get_window_extent().x0 > 0 for label in axes.get_xticklabels())
